@@ -79,15 +79,11 @@ class LimbCost:
     nearness: Float32
 
     @staticmethod
-    def of(
-        layers: Layers, frame: int, posed: Posed, view: ScaledView, segments: Bool, absent: Bool | None = None
-    ) -> LimbCost:
-        """For the limb of some segments (S,); as if others that are `absent` (S,) were not there."""
-        body = posed.body
+    def of(layers: Layers, frame: int, posed: Posed, view: ScaledView, segments: Bool) -> LimbCost:
+        """For the limb of some segments (S,)."""
+        body, (height, width) = posed.body, layers.images.shape[1:]
         moved = _carried_faces(body, segments)
-        gone = moved if absent is None else moved | _carried_faces(body, absent)
-        height, width = layers.images.shape[1:]
-        rest = np.flatnonzero(~gone)
+        rest = np.flatnonzero(~moved)
         face, near = rasterise(*projected(view, posed.vertices), body.faces[rest], (0, 0), (width, height))
         rows, columns = np.nonzero(face >= 0)
         before = np.zeros((height, width))

@@ -1,17 +1,20 @@
-"""A whole sequence at once: passes over all frames that mend what the first lost, two-sided in time.
+"""Passes over a sequence that mend what was lost, two-sided in time, again and again while it grows.
 
 A dozen exposures in a cycle leave an arm that is hidden, or as bright as what it crosses, to chance: once lost it is
 not found again from frame to frame. Here each limb chooses among many postures in every frame, all frames together, by
 dynamic programming: how well the layers of the picture explain it (`layers`), and how far it moves between frames.
 Then the tracker goes over the frames once more, about what was chosen. Photographic plates, a fixed sequence, are
 followed so (Bregler and Malik, CVPR 1998, section 5.2).
+
+Layers are learnt from the track itself. Where legs were exchanged in most frames, they would show the wrong ones. So
+the passes begin after a few frames, and tracking goes on from what they have mended.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import product, zip_longest
 
 import numpy as np
 
@@ -20,8 +23,8 @@ from twistcap.arrays import AnyArray, Float, Float32, Int
 from twistcap.body import Body
 from twistcap.cues.view import Picture
 from twistcap.differential.model import DifferentialModel
-from twistcap.differential.state import State
-from twistcap.differential.step import track
+from twistcap.differential.state import State, Track
+from twistcap.differential.step import followed
 from twistcap.errors import InputError
 
 _LEVEL = 1  # of the pyramid, at which postures are compared
@@ -61,6 +64,12 @@ LIMBS = (
     ),
     Limb(("arm_flex", "elbow_flex", "arm_add", "arm_rot"), (15, 22, 12, 20), (5, 7, 3, 3), (12, 20, 8, 8)),
 )
+"""What all angles of a limb do between two plates."""
+SWINGS = (
+    Limb(("hip_flexion", "knee_angle"), steps_deg=(10, 18), counts=(5, 9), stray_deg=(4, 7)),
+    Limb(("arm_flex", "elbow_flex"), steps_deg=(8, 10), counts=(13, 13), stray_deg=(2.7, 4.5)),
+)
+"""What limbs that swing in a plane do between two frames of a video; arms are looked for over their whole swing."""
 
 
 @dataclass(frozen=True)
@@ -68,32 +77,38 @@ class SequenceConfig:
     """Settings of the passes over a whole sequence.
 
     Attributes:
-        passes: over all frames after the first; the second and later ones try values nearer together.
+        every: so many frames are tracked between passes: a quarter of a cycle of walking, in which limbs cross once.
         limbs: what is chosen together.
         share: of the pixels' information that counts, since neighbours see the same.
+        passes: over all frames so far; the second and later ones try values nearer together.
         stray_deg: how far the tracker's joints stray from what was chosen.
-        apart: whether of a limb's two sides the one nearer to the cameras is chosen first, as if the other were not
-            there: that one may stand in its place. Its steps must cost enough then, lest it take the other's.
     """
 
+    every: int
+    limbs: tuple[Limb, ...]
+    share: float
     passes: int = 2
-    limbs: tuple[Limb, ...] = LIMBS
-    share: float = 0.1
     stray_deg: float = 6.0
-    apart: bool = False
 
     def __post_init__(self) -> None:
-        if self.passes < 0 or not 0.0 < self.share <= 1.0 or self.stray_deg <= 0.0:
+        if self.every < 1 or self.passes < 0 or not 0.0 < self.share <= 1.0 or self.stray_deg <= 0.0:
             raise InputError(
-                "differential: passes must not be negative, share above 0 and at most 1, stray_deg positive."
+                "differential: every must be 1 or more, passes not negative, share above 0 and at most 1, "
+                "stray_deg positive."
             )
+
+
+PLATES = SequenceConfig(every=3, limbs=LIMBS, share=0.1)
+"""Of a dozen exposures in a cycle."""
+WALKING = SequenceConfig(every=15, limbs=SWINGS, share=0.03)
+"""Of one view at some 60 frames per second."""
 
 
 def track_sequence(
     model: DifferentialModel,
     start: State,
     frames: Sequence[Sequence[AnyArray | None]],
-    sequence: SequenceConfig | None = None,
+    sequence: SequenceConfig,
 ) -> list[State]:
     """The states of a body in all frames, the first of which is known; the cameras stand still.
 
@@ -101,23 +116,38 @@ def track_sequence(
         model: body and settings of the tracker.
         start: state in the first frame.
         frames: one image per view each.
-        sequence: of the passes after its first.
+        sequence: of the passes.
 
     Raises:
         InputError: where a frame lacks an image, and as `differential.step.followed` does.
     """
-    sequence, config, rule = sequence or SequenceConfig(), model.config, model.rule
     whole = [_whole(n, frame) for n, frame in enumerate(frames)]
-    start = start.sized(whole[0])
-    states = [start, *(e.state for e in track(model, start, whole))]
-    level = min(_LEVEL, rule.levels - 1)
+    level = min(_LEVEL, model.rule.levels - 1)
     grey = [[Picture(image).level(level, colour=False)[0] for image in frame] for frame in whole]
-    few = replace(rule, levels=min(2, rule.levels))
-    near = replace(model, config=replace(config, stray_deg=sequence.stray_deg), rule=few)
-    for n in range(sequence.passes):
-        states = chosen(model.body, states, grey, 0.5**level, sequence, closer=1.0 / (n + 1))
-        states = [start, *(e.state for e in track(near, start, whole, states))]
+    near = replace(model, config=replace(model.config, stray_deg=sequence.stray_deg))
+    states = [start.sized(whole[0])]
+    for end in _ends(len(whole), sequence.every):
+        states = _followed(model, near, whole[:end], states)
+        for n in range(sequence.passes):
+            states = chosen(model.body, states, grey[:end], 0.5**level, sequence, closer=1.0 / (n + 1))
+            states = _followed(model, near, whole[:end], states)
     return states
+
+
+def _ends(frames: int, every: int) -> list[int]:
+    """How many frames have been tracked when passes begin; the last stretch is between half and one and a half long."""
+    return [*range(every, frames - every // 2, every), frames]
+
+
+def _followed(
+    model: DifferentialModel, near: DifferentialModel, frames: Sequence[Sequence[AnyArray]], states: Sequence[State]
+) -> list[State]:
+    """The states of all frames, those that have one tracked `near` it; the first one stays."""
+    so_far, out = Track.of(states[0]), list[State]()
+    for images, state in zip_longest(frames, states):
+        so_far, found = followed(so_far, images, model if state is None else near, state)
+        out.append(found.state)
+    return out
 
 
 def _whole(n: int, frame: Sequence[AnyArray | None]) -> list[AnyArray]:
@@ -152,28 +182,13 @@ def chosen(
     out = list(states)
     for limb in config.limbs:
         stray = np.deg2rad(np.array(limb.stray_deg))
-        sides = nearest_first(body, out, limb.of(body)) if config.apart else limb.of(body)
-        for place, which in enumerate(sides):
-            later = np.concatenate([np.zeros(0, np.int32), *(sides[place + 1 :] if config.apart else [])])
+        for which in limb.of(body):
             tried = [_tried(body, s, which, closer * limb.offsets() if n else None) for n, s in enumerate(out)]
             pairs = zip(out, tried, strict=True)
-            costs = [
-                config.share * _costs(body, layers, n, which, later, *pair, factor) for n, pair in enumerate(pairs)
-            ]
+            costs = [config.share * _costs(body, layers, n, which, *pair, factor) for n, pair in enumerate(pairs)]
             path = cheapest_path(costs, [t / stray for t in tried])
             out = [_with(s, which, t[k]) for s, t, k in zip(out, tried, path, strict=True)]
     return out
-
-
-def nearest_first(body: Body, states: Sequence[State], sides: Sequence[Int]) -> list[Int]:
-    """The coordinates of the limbs of both sides, the limb first that is nearer to the cameras in the mean."""
-
-    def depth(which: Int) -> float:
-        moved = body.chain[:, which].any(axis=1)
-        posed = [(s, s.posed(body).segment_middles[moved]) for s in states]
-        return float(np.mean([view.depth(at).mean() for s, at in posed for view in s.views]))
-
-    return sorted(sides, key=depth)
 
 
 def _tried(body: Body, state: State, which: Int, offsets: Float | None) -> Float:
@@ -189,25 +204,14 @@ def _with(state: State, which: Int, values: Float) -> State:
 
 
 def _costs(
-    body: Body,
-    layers: Sequence[Layers],
-    n: int,
-    which: Int,
-    later: Int,
-    state: State,
-    tried: Float,
-    factor: float,
+    body: Body, layers: Sequence[Layers], n: int, which: Int, state: State, tried: Float, factor: float
 ) -> Float:
-    """(K,) of frame n with a limb at each of the values tried (K, C), all views together.
-
-    A limb that is still to be chosen, of coordinates `later`, is left out: it may stand where this one belongs.
-    """
+    """(K,) of frame n with a limb at each of the values tried (K, C), all views together."""
     if len(tried) == 1:
         return np.zeros(1)
-    posed = state.posed(body)
-    moved, absent = (np.asarray(body.chain[:, c].any(axis=1), np.bool_) for c in (which, later))
+    posed, moved = state.posed(body), np.asarray(body.chain[:, which].any(axis=1), np.bool_)
     pairs = zip(layers, state.views, strict=True)
-    limbs = [LimbCost.of(layer, n, posed, view.scaled(factor), moved, absent) for layer, view in pairs]
+    limbs = [LimbCost.of(layer, n, posed, view.scaled(factor), moved) for layer, view in pairs]
     each = [_with(state, which, values).posed(body) for values in tried]
     return np.array([sum(limb(p) for limb in limbs) for p in each])
 

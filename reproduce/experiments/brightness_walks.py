@@ -18,7 +18,7 @@ import numpy as np
 from reproduce.brightness_trials import DifferentialTrial, Tracked
 from reproduce.ellipsoids import ellipsoid_body
 from reproduce.norm_picture import norm_picture
-from reproduce.passes import Limb, SequenceConfig
+from reproduce.passes import PLATES, WALKING
 from reproduce.plates import NINETEEN
 from reproduce.reanimated import reanimated
 from reproduce.scenes.disturbed import loose, plates
@@ -35,10 +35,6 @@ WITH, ROBUST, WITHOUT = "support maps by EM", "robust weights", "the projected s
 _SIDE = DifferentialConfig(turns="planar", colour=False)
 _OBLIQUE = DifferentialConfig(colour=False, perspective=True)
 _PLATES, _FEW = DifferentialConfig(search_deg=30.0, stray_deg=12.0), Rule(levels=3, carry=0.6, update=0.1)
-# What limbs do between two frames at 60 per second.
-_ARM = Limb(("arm_flex", "elbow_flex"), steps_deg=(8.0, 10.0), counts=(13, 13), stray_deg=(2.7, 4.5))
-_LEG = Limb(("hip_flexion", "knee_angle"), steps_deg=(10.0, 18.0), counts=(5, 9), stray_deg=(4.0, 7.0))
-_WALK = SequenceConfig(passes=2, limbs=(_LEG, _ARM), share=0.03)
 _SIDE_STUDIO = StudioConfig(frames=101)
 
 
@@ -136,7 +132,7 @@ T1 = DifferentialTrial(
     (("tracked", _SIDE),),
     _OneView("T-1", 3.0),
     picture=_norm_picture,
-    sequence=_WALK,
+    sequence=WALKING,
 )
 T2 = DifferentialTrial(
     "T-2",
@@ -145,7 +141,7 @@ T2 = DifferentialTrial(
     _both_legs,
     (("tracked", _OBLIQUE),),
     _OneView("T-2", 5.0, 3.0),
-    sequence=_WALK,
+    sequence=WALKING,
 )
 T3 = DifferentialTrial(
     "T-3",
@@ -161,7 +157,7 @@ T3 = DifferentialTrial(
     (("tracked", _PLATES),),
     _plate_rows,
     picture=_reanimation,
-    sequence=SequenceConfig(),
+    sequence=PLATES,
     rule=_FEW,
 )
 T_EM = DifferentialTrial(

@@ -19,7 +19,7 @@ import numpy as np
 from reproduce.arms import Findings
 from reproduce.ellipsoids import ellipsoid_body
 from reproduce.measures.gait_norms import FILE, by_cycle, correlation, gait_norm, heel_strikes
-from reproduce.passes import Limb, SequenceConfig, track_sequence
+from reproduce.passes import WALKING, track_sequence
 from reproduce.recorded import data_file
 from reproduce.running import Tell
 from twistcap.adjust.first_pose.clicks import fit_clicks
@@ -41,10 +41,6 @@ CLICKS = {
     "heel_r": (1320, 912), "shoulder_r": (1222, 610), "elbow_r": (1187, 671), "wrist_r": (1126, 704),
 }  # fmt: skip
 TRACKER, RULE = DifferentialConfig(turns="planar"), Rule(scale=1e-4, shift_px=2.0, turn_deg=0.5)
-LIMBS = tuple(
-    Limb(names, (10, 12), (5, 7), (3, 6)) for names in (("hip_flexion", "knee_angle"), ("arm_flex", "elbow_flex"))
-)
-PASSES = SequenceConfig(passes=1, limbs=LIMBS, apart=True)
 
 
 @dataclass(frozen=True)
@@ -59,7 +55,7 @@ class SagittalWalk:
         del seeds
         images, (model, first) = frames(data_file("sagittal_walk/demo.mp4")), start()
         progress("tracking", 0, 1)
-        states = track_sequence(DifferentialModel(model, TRACKER, RULE), first, [[i] for i in images], PASSES)
+        states = track_sequence(DifferentialModel(model, TRACKER, RULE), first, [[i] for i in images], WALKING)
         if out is not None:
             cv2.imwrite(str(out / f"{self.id}.png"), overlay(model, states, images, range(0, COUNT, 5))[..., ::-1])
         return Findings(self._rows(model, states), "", ())

@@ -11,7 +11,7 @@ import pytest
 
 from reproduce.experiments.brightness_walks import T2
 from reproduce.layers import LimbCost, learnt
-from reproduce.passes import LIMBS, SequenceConfig, cheapest_path, chosen, nearest_first, track_sequence
+from reproduce.passes import LIMBS, PLATES, WALKING, cheapest_path, chosen, track_sequence
 from reproduce.plates import NINETEEN, angles_of
 from reproduce.scenes.disturbed import plates
 from reproduce.scenes.walks import Walk
@@ -19,8 +19,8 @@ from twistcap.body.simplify import simplified
 from twistcap.cues.view import Picture
 from twistcap.differential.model import DifferentialModel
 from twistcap.differential.settings import Rule
-from twistcap.differential.state import State, state_of
-from twistcap.differential.step import track
+from twistcap.differential.state import State, Track, state_of
+from twistcap.differential.step import followed, track
 from twistcap.errors import InputError
 from twistcap.render import render
 from twistcap.studio import StudioConfig
@@ -104,8 +104,7 @@ def test_the_layers_bring_all_exposures_to_one_and_tell_the_body_from_what_is_be
     assert costs[0] < costs[1] - 100
 
 
-@pytest.mark.parametrize("apart", [False, True])
-def test_a_leg_that_was_lost_in_some_exposures_is_found_again(apart: bool) -> None:
+def test_a_leg_that_was_lost_in_some_exposures_is_found_again() -> None:
     model, states, _ = plates()
     knee, hip = model.coordinate("knee_angle_r"), model.coordinate("hip_flexion_r")
     wrong = list(states)
@@ -113,7 +112,7 @@ def test_a_leg_that_was_lost_in_some_exposures_is_found_again(apart: bool) -> No
         q = states[n].q.copy()
         q[knee], q[hip] = q[knee] + np.deg2rad(50), q[hip] - np.deg2rad(25)
         wrong[n] = State(states[n].views, np.clip(q, *model.limits.T))
-    found = chosen(model, wrong, grey(), 1.0, SequenceConfig(limbs=LIMBS[:1], apart=apart))
+    found = chosen(model, wrong, grey(), 1.0, replace(PLATES, limbs=LIMBS[:1]))
     before, after = (
         np.degrees([np.abs(s.q - t.q)[[knee, hip]].max() for s, t in zip(some, states, strict=True)])
         for some in (wrong, found)
@@ -123,41 +122,22 @@ def test_a_leg_that_was_lost_in_some_exposures_is_found_again(apart: bool) -> No
     assert found[0] is wrong[0] or np.array_equal(found[0].q, wrong[0].q)
 
 
-def test_a_leg_that_stands_in_the_place_of_another_counts_only_where_it_is_not_left_out() -> None:
-    model, states, _ = plates()
-    states = [State(s.views[:1], s.q) for s in states]
-    near, far = nearest_first(model, states, LIMBS[0].of(model))
-    depths = [s.views[0].depth(s.posed(model).segment_middles) for s in states]
-    moved = [np.asarray(model.chain[:, leg].any(axis=1)) for leg in (near, far)]
-    assert np.mean([d[moved[0]].mean() for d in depths]) < np.mean([d[moved[1]].mean() for d in depths])
-    layers = learnt(
-        model, [frame[0] for frame in grey()], [s.posed(model) for s in states], [s.views[0] for s in states]
-    )
-    q = states[3].q.copy()
-    q[near], q[far] = q[far], q[near]
-    swapped, right = State(states[3].views, q).posed(model), states[3].posed(model)
-    gains = []
-    for absent in (None, moved[1]):
-        cost = LimbCost.of(layers, 3, swapped, states[3].views[0], moved[0], absent)
-        gains.append(cost(swapped) - cost(right))
-    assert gains[1] > gains[0] + 50
-
-
 def test_a_sequence_without_further_passes_is_the_trackers() -> None:
-    model, states, images = plates()
-    followed = DifferentialModel(model, rule=Rule(levels=2, iterations=2))
-    stepped = track(followed, states[0], images[:3])
-    found = track_sequence(followed, states[0], images[:3], SequenceConfig(passes=0))
+    body, states, images = plates()
+    model = DifferentialModel(body, rule=Rule(levels=2, iterations=2))
+    stepped = track(model, states[0], images[:3])
+    found = track_sequence(model, states[0], images[:3], replace(PLATES, passes=0))
     for a, b in zip(found[1:], stepped, strict=True):
         np.testing.assert_array_equal(a.q, b.state.q)
 
 
 def test_an_expected_state_is_looked_for_about() -> None:
-    model, states, images = plates()
-    followed, frames = DifferentialModel(model, rule=Rule(levels=2, iterations=4)), (images[0], images[2])
+    body, states, images = plates()
+    model = DifferentialModel(body, rule=Rule(levels=2, iterations=4))
+    first, _ = followed(Track.of(states[0]), images[0], model)
     off = [
-        np.degrees(np.abs(track(followed, states[0], frames, expected)[-1].state.q - states[2].q)).max()
-        for expected in (None, (states[0], states[2]))
+        np.degrees(np.abs(followed(first, images[2], model, expected)[1].state.q - states[2].q)).max()
+        for expected in (None, states[2])
     ]
     assert off[1] < 0.5 * off[0]
 
@@ -171,7 +151,7 @@ def test_an_oblique_walk_is_followed_with_both_legs_before_the_pinhole() -> None
     truth = [state_of(pose, found.rig, config.perspective) for pose in found.true_poses]
     first = State(truth[0].views, angles_of(model, found.body, truth[0].q))
     images = [list(frame.images) for frame in found.frames()]
-    states = track_sequence(DifferentialModel(model, config, Rule(levels=3)), first, images, T2.sequence)
+    states = track_sequence(DifferentialModel(model, config, Rule(levels=3)), first, images, WALKING)
     assert states[-1].views[0].K is not None
     off = np.degrees([s.q - angles_of(model, found.body, t.q) for s, t in zip(states, truth, strict=True)])
     legs = [k for k, name in enumerate(model.coordinate_names) if name[:4] in ("hip_", "knee")]
@@ -184,11 +164,13 @@ def test_an_oblique_walk_is_followed_with_both_legs_before_the_pinhole() -> None
 def test_a_missing_image_is_told() -> None:
     model, states, images = plates()
     with pytest.raises(InputError, match="frame 1 lacks an image"):
-        track_sequence(DifferentialModel(model), states[0], [images[0], [None, *images[1][1:]]])
+        track_sequence(DifferentialModel(model), states[0], [images[0], [None, *images[1][1:]]], PLATES)
 
 
 def test_bad_settings_are_told() -> None:
     with pytest.raises(InputError, match="passes"):
-        SequenceConfig(passes=-1)
+        replace(PLATES, passes=-1)
     with pytest.raises(InputError, match="share"):
-        SequenceConfig(share=0.0)
+        replace(PLATES, share=0.0)
+    with pytest.raises(InputError, match="every"):
+        replace(PLATES, every=0)

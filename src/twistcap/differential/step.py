@@ -30,6 +30,7 @@ from twistcap.solve import BlockProblem, Dense, Variables, inverse, minimise
 from twistcap.terms.photometric import EXPOSURE
 
 _LOST = 0.25  # mean support of the body's pixels, in the view that has most, below which the images support no pose
+_NEAR_LEVELS = 2  # of the image pyramid, about a state that is expected
 _GAIN = 1e-3  # of the energy; a step that gains less is the last one of its level
 
 
@@ -86,7 +87,8 @@ def followed(
 
     Images are one per view, grey (H, W) or RGB (H, W, 3), uint8 or in [0, 1]; None for a view that dropped it. Without
     an `expected` state, such as an earlier pass found, the last motion goes on, and limbs are searched as the settings
-    say. Raises InputError for a wrong number of images or angles, or values that are not finite.
+    say; about one, the finest levels of the image pyramid are enough. Raises InputError for a wrong number of images or
+    angles, or values that are not finite.
     """
     _check(model.body, track.state, images)
     track = replace(track, state=track.state.sized(images))
@@ -114,7 +116,8 @@ class _Follow:
         """Coarse to fine from where the body is expected."""
         model, before = self.model, self.track.state
         x = model.variables(self.expected or self._carried())
-        priors, coarsest, free = model.priors(x), model.rule.levels - 1, self.expected is None
+        priors, free = model.priors(x), self.expected is None
+        coarsest = (model.rule.levels if free else min(_NEAR_LEVELS, model.rule.levels)) - 1
         motions = [self._behind(*pair) for pair in zip(self.track.memories, self.pictures, strict=True)]
         seen, steps, hessian, energy = list[Evidence](), 0, np.eye(x.dof), 0.0
         for level in range(coarsest, -1, -1):
@@ -222,14 +225,10 @@ def _check(body: Body, state: State, images: Sequence[AnyArray | None]) -> None:
     check("differential", np.all(np.isfinite(state.q)), "an angle of the first state is not finite")
 
 
-def track(
-    model: DifferentialModel, state: State, frames: Sequence[Sequence[AnyArray | None]],
-    expected: Sequence[State] | None = None,
-) -> list[Found]:  # fmt: skip
-    """Follow a body through frames of one image per view; `state` is that of the first, whose answer is left out. Where
-    states are `expected`, one per frame, each frame is looked at about its own."""
-    about, out, so_far = [None] * len(frames) if expected is None else expected, list[Found](), Track.of(state)
-    for images, near in zip(frames, about, strict=True):
-        so_far, found = followed(so_far, images, model, near)
+def track(model: DifferentialModel, state: State, frames: Sequence[Sequence[AnyArray]]) -> list[Found]:
+    """Follow a body through frames of one image per view; `state` is that of the first, whose answer is left out."""
+    out, so_far = list[Found](), Track.of(state)
+    for images in frames:
+        so_far, found = followed(so_far, images, model)
         out.append(found)
     return out[1:]
