@@ -1,6 +1,7 @@
 """Places of cameras that were bumped, and the poses of all frames, in one least squares.
 
-The other cameras hold the world; each may be turned a little, as calibrations are, and as contours are drawn aside.
+The other cameras hold the world; each may be turned a little, as calibrations are, and as contours are drawn aside. A
+body that is too thick, or a lens that is too long, looks as if the camera stood nearer. So both may err too.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from twistcap.arrays import AnyArray, Float
 from twistcap.body import Body, Posed
 from twistcap.camera import Camera, Rig
 from twistcap.camera.bump import bumped
+from twistcap.camera.projection import NEAR
 from twistcap.errors import check
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict.inertia import INFLATION
@@ -40,6 +42,8 @@ _DAMPING = 1e-3
 _STEPS = 3  # of the solver in each round
 _STILL = np.repeat([np.deg2rad(0.1), 1e-5], 3)  # (6,) rad and m by which a camera stands off that was not bumped
 _BY_BACKGROUND = np.r_[np.full(3, np.deg2rad(0.03)), KNOCK[3:]]  # (6,) the same of one whose turn its background tells
+_FOCAL = 0.002  # of the focal length, by which calibrations err: 0.0001 to 0.004 on `balance_4view`
+_OUTWARD = 0.005  # m by which a surface lies farther out than that of its body, in the mean
 _NEARLY_ALL = 0.9  # of the frames
 _LOOKS = 60  # frames in which a camera that was turned is looked for
 
@@ -112,7 +116,8 @@ def mended_cameras(
     for done, _ in zip(images.read(first, own), as_given.read(second, alone), strict=True):
         tell("reading", done)
     track = PoseTrack(tuple(e.pose for e in own), np.array([e.time for e in own]))
-    x = Standpoints(track, {c: camera.T_cam_world for c, camera in enumerate(turned)})
+    places = {c: camera.T_cam_world for c, camera in enumerate(turned)}
+    x = Standpoints(track, places, dict.fromkeys(places, 0.0))
     stood = {c: by_background.get(c, camera).T_cam_world for c, camera in enumerate(given)}
     sure = {c: _BY_BACKGROUND if c in by_background else KNOCK if c in wrong else _STILL for c in stood}
     return _settled(images, as_given, x, wrong, (stood, sure), tell)
@@ -172,10 +177,14 @@ def _looked_for(
 
 @dataclass(frozen=True)
 class Standpoints:
-    """The variables: the poses of all frames, and by number `T_cam_world` of the cameras."""
+    """The variables: the poses of all frames; by number, `T_cam_world` of the cameras and the logarithms by which their
+    focal lengths are larger; and by how many m the surface lies farther out than that of the body.
+    """
 
     track: PoseTrack
     places: Mapping[int, Float]
+    zooms: Mapping[int, float]
+    outward: float = 0.0
 
 
 def _settled(
@@ -230,16 +239,19 @@ class CameraProblem:
         self.body, self.contours, self.measured, self.given = body, contours, measured, given
         self.prior = {c: sigma / (INFLATION * np.sqrt(effect)) for c, sigma in known.items()}
         self.motion, self.order = SmoothMotion(body), {c: k for k, c in enumerate(measured)}
+        self.sizes = np.r_[np.full(len(measured), _FOCAL), _OUTWARD] / (INFLATION * np.sqrt(effect))
 
     def energies(self, x: Standpoints) -> dict[str, float]:
         """By term."""
         contour = sum(term.energy(posed) for term, posed in self.seen(x))
         prior = sum(0.5 * float(np.sum((self._off(x, c) / self.prior[c]) ** 2)) for c in self.order)
-        return {"contour": contour, "camera": prior, **self.motion.energies(x.track)}
+        sizes = 0.5 * float(np.sum((self._resized(x) / self.sizes) ** 2))
+        return {"contour": contour, "camera": prior, "sizes": sizes, **self.motion.energies(x.track)}
 
     def linearised(self, x: Standpoints) -> Arrow:
-        """The quadratic of all poses' steps and of the cameras' left twists."""
-        arrow = Arrow(len(x.track.poses), x.track.pose_dof, 6 * len(self.order), 2)
+        """The quadratic of all poses' steps and of the shared parameters, as in `retract`."""
+        C = len(self.order)
+        arrow = Arrow(len(x.track.poses), x.track.pose_dof, 7 * C + 1, 2)
         arrow.longest, arrow.shared_longest = 0.5, _LONGEST
         for camera, t, term, posed in self._sights(x):
             self._add(arrow, x, (camera, t), term, posed)
@@ -250,13 +262,19 @@ class CameraProblem:
             arrow.value += 0.5 * float(np.sum((off / prior) ** 2))
             arrow.shared_pull[own] += by_step.T @ (off / prior)
             arrow.corner[own, own] += by_step.T @ by_step
+        resized, which = self._resized(x) / self.sizes, np.arange(6 * C, 7 * C + 1)
+        arrow.value += 0.5 * float(np.sum(resized**2))
+        arrow.shared_pull[which] += resized / self.sizes
+        arrow.corner[which, which] += 1.0 / self.sizes**2
         return arrow
 
     def retract(self, x: Standpoints, step: Float) -> Standpoints:
-        """After a step (F D + 6 W,)."""
-        twists = step[x.track.dof :].reshape(-1, 6)
+        """After a step (F D + 7 C + 1,): of the poses, left twists of the cameras, zooms, outward."""
+        poses, twists, zooms = np.split(step[:-1], x.track.dof + np.array([0, 6 * len(self.order)]))
+        twists = twists.reshape(-1, 6)
         places = {c: se3.compose_one(se3.exp_one(twists[k]), x.places[c]) for c, k in self.order.items()}
-        return Standpoints(x.track.retract(step[: x.track.dof]), places)
+        longer = {c: x.zooms[c] + float(zooms[k]) for c, k in self.order.items()}
+        return Standpoints(x.track.retract(poses), places, longer, x.outward + float(step[-1]))
 
     def seen(self, x: Standpoints) -> Iterator[tuple[PointNormalTerm, Posed]]:
         """Each term, of the camera as it stands, and the body in its frame."""
@@ -268,29 +286,47 @@ class CameraProblem:
             for camera, terms in enumerate(self.contours):
                 term = terms[t]
                 if term is not None:
-                    yield camera, t, self._from_here(term, camera, x), posed
+                    yield camera, t, self._from_here(term, camera, x, posed), posed
 
-    def _from_here(self, term: PointNormalTerm, camera: int, x: Standpoints) -> PointNormalTerm:
-        if camera not in self.order:
-            return term
-        return replace(term, P=term.P @ np.linalg.inv(self.measured[camera]) @ x.places[camera])
+    def _from_here(self, term: PointNormalTerm, camera: int, x: Standpoints, posed: Posed) -> PointNormalTerm:
+        K, T = self._lens(term, camera), x.places[camera]
+        P = K @ np.diag([*np.full(2, np.exp(x.zooms[camera])), 1.0]) @ T[:3]
+        px = x.outward * _px_per_m(K, se3.apply(T, term.points.at(posed)))
+        return replace(term, P=P, target=term.target - px[:, None] * term.normal)
+
+    def _lens(self, term: PointNormalTerm, camera: int) -> Float:
+        """(3, 3) of the view as it was measured."""
+        return (term.P @ np.linalg.inv(self.measured[camera]))[:, :3]
+
+    def _resized(self, x: Standpoints) -> Float:
+        """(C + 1,) of all that may be larger than it is given."""
+        return np.r_[[x.zooms[c] for c in self.order], x.outward]
 
     def _off(self, x: Standpoints, camera: int) -> Float:
         """(6,) left twist by which a camera stands from where it was calibrated."""
         return se3.log(x.places[camera] @ np.linalg.inv(self.given[camera]))
 
     def _add(self, arrow: Arrow, x: Standpoints, where: tuple[int, int], term: PointNormalTerm, posed: Posed) -> None:
-        (camera, t), D = where, x.track.pose_dof
+        (camera, t), D, C, T = where, x.track.pose_dof, len(self.order), x.places[where[0]]
         energy, points, rows = term.rows(posed)
         arrow.value += energy
-        beside = by_camera(x.places[camera], points.at(posed), rows.gradient) if camera in self.order else None
+        world = points.at(posed)
+        seen, by_seen = se3.apply(T, world), rows.gradient @ T[:3, :3].T
+        by_zoom = np.sum(by_seen[:, :2] * seen[:, :2], axis=1)
+        by_outward = _px_per_m(self._lens(term, camera), seen)
+        beside = np.column_stack([by_camera(T, world, rows.gradient), by_zoom, by_outward])
         gradient, hessian = normal_equations(posed, points, rows, beside)
         arrow.add_pose(t, gradient[:D], hessian[:D, :D])
-        if beside is not None:
-            own = slice(6 * self.order[camera], 6 * self.order[camera] + 6)
-            arrow.border[t][:, own] += hessian[:D, D:]
-            arrow.corner[own, own] += hessian[D:, D:]
-            arrow.shared_pull[own] += gradient[D:]
+        k = self.order[camera]
+        own = np.r_[6 * k : 6 * k + 6, 6 * C + k, 7 * C]
+        arrow.border[t][:, own] += hessian[:D, D:]
+        arrow.corner[np.ix_(own, own)] += hessian[D:, D:]
+        arrow.shared_pull[own] += gradient[D:]
+
+
+def _px_per_m(K: Float, seen: Float) -> Float:
+    """(N,) px by which a contour moves in the image where its surface (N, 3), as the camera sees it, grows by 1 m."""
+    return K[0, 0] / np.maximum(seen[:, 2], NEAR)
 
 
 def by_camera(T_cam_world: Float, world: Float, gradient: Float) -> Float:
