@@ -289,14 +289,10 @@ class CameraProblem:
                     yield camera, t, self._from_here(term, camera, x, posed), posed
 
     def _from_here(self, term: PointNormalTerm, camera: int, x: Standpoints, posed: Posed) -> PointNormalTerm:
-        K, T = self._lens(term, camera), x.places[camera]
-        P = K @ np.diag([*np.full(2, np.exp(x.zooms[camera])), 1.0]) @ T[:3]
+        T = x.places[camera]
+        K = _lens(term.P, self.measured[camera]) @ np.diag([*np.full(2, np.exp(x.zooms[camera])), 1.0])
         px = x.outward * _px_per_m(K, se3.apply(T, term.points.at(posed)))
-        return replace(term, P=P, target=term.target - px[:, None] * term.normal)
-
-    def _lens(self, term: PointNormalTerm, camera: int) -> Float:
-        """(3, 3) of the view as it was measured."""
-        return (term.P @ np.linalg.inv(self.measured[camera]))[:, :3]
+        return replace(term, P=K @ T[:3], target=term.target - px[:, None] * term.normal)
 
     def _resized(self, x: Standpoints) -> Float:
         """(C + 1,) of all that may be larger than it is given."""
@@ -312,8 +308,8 @@ class CameraProblem:
         arrow.value += energy
         world = points.at(posed)
         seen, by_seen = se3.apply(T, world), rows.gradient @ T[:3, :3].T
-        by_zoom = np.sum(by_seen[:, :2] * seen[:, :2], axis=1)
-        by_outward = _px_per_m(self._lens(term, camera), seen)
+        by_outward = _px_per_m(_lens(term.P, T), seen)
+        by_zoom = np.sum(by_seen[:, :2] * seen[:, :2], axis=1) + x.outward * by_outward
         beside = np.column_stack([by_camera(T, world, rows.gradient), by_zoom, by_outward])
         gradient, hessian = normal_equations(posed, points, rows, beside)
         arrow.add_pose(t, gradient[:D], hessian[:D, :D])
@@ -322,6 +318,11 @@ class CameraProblem:
         arrow.border[t][:, own] += hessian[:D, D:]
         arrow.corner[np.ix_(own, own)] += hessian[D:, D:]
         arrow.shared_pull[own] += gradient[D:]
+
+
+def _lens(P: Float, T_cam_world: Float) -> Float:
+    """(3, 3) of a projection by a camera that stands there."""
+    return P[:, :3] @ T_cam_world[:3, :3].T
 
 
 def _px_per_m(K: Float, seen: Float) -> Float:
