@@ -20,14 +20,15 @@ from twistcap.render import render, visible_contour
 from twistcap.solve import inverse
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.config import Condition
-from twistcap.terms import PointNormalTerm
+from twistcap.terms import PointNormalTerm, PointRayTerm
+from twistcap.terms.accumulate import PointTerm
 from twistcap.terms.shared import NARROWEST, add_shared_variance
 from twistcap.track import Tracker, step
 
 NOISE_PX, DRAWS = 0.5, 300
 
 
-def fit_of(posed: Posed, terms: Sequence[PointNormalTerm], judging: bool = True) -> Fit:
+def fit_of(posed: Posed, terms: Sequence[PointTerm], judging: bool = True) -> Fit:
     agreement = Agreement(np.zeros(1, np.int32), np.zeros(1), np.zeros(1)) if judging else None
     entered = [(Evidence(term, 0, agreement), *term.rows(posed)[1:]) for term in terms]
     nothing = np.zeros(len(posed.body.segment_names), np.bool_)
@@ -46,7 +47,7 @@ def contours() -> tuple[Posed, list[PointNormalTerm]]:
     return posed, terms
 
 
-def information_of(terms: Sequence[PointNormalTerm], posed: Posed) -> Float:
+def information_of(terms: Sequence[PointTerm], posed: Posed) -> Float:
     return np.asarray(sum(term.linearize(posed).hessian for term in terms), np.float64)
 
 
@@ -139,6 +140,26 @@ def test_a_claim_is_the_variance_of_what_the_gain_makes_of_prediction_and_images
     np.testing.assert_allclose(
         claimed(posterior, information, fit_of(posed, terms), trust), expected, rtol=1e-4, atol=1e-9
     )
+
+
+def test_a_point_that_is_pulled_to_a_ray_counts_once_though_it_has_two_rows() -> None:
+    """A contour that lies one standard deviation off has the factor 1, on its normals or on rays."""
+    scene = capture(StudioConfig(seed=3, views=4, frames=1))
+    posed, terms = Posed(scene.body, scene.true_poses[0]), list[PointRayTerm]()
+    for camera in scene.rig.pinhole():
+        contour = visible_contour(render(posed, camera))
+        rays = camera.rays(contour.pixels + NOISE_PX * contour.normals)
+        px_per_m = camera.K[0, 0] * contour.inverse_depth
+        terms.append(PointRayTerm(contour.points, *rays, px_per_m, np.full(len(contour), NOISE_PX**-2), 1e3))
+    information, together = information_of(terms, posed), np.zeros((posed.body.dof, posed.body.dof))
+    for term in terms:
+        rows = term.rows(posed)[2]
+        add_shared_variance(term.points.bound_to(posed), rows.gradient, rows.weight, posed.projector, together)
+    posterior = np.eye(posed.body.dof) * 1e-4
+    found = claimed(posterior, information, fit_of(posed, terms))
+    true = (information + OFFSET**2 * together) / INFLATION**2
+    expected = posterior + posterior @ (true - information) @ posterior / INFLATION**2
+    np.testing.assert_allclose(np.diagonal(found), np.diagonal(expected), rtol=0.05)
 
 
 def test_without_a_cue_that_judges_the_claim_stays() -> None:

@@ -34,12 +34,12 @@ def claimed(posterior: Float, images: Float, fit: Fit, trust: float = 1.0) -> Fl
     `posterior` (6 + J, 6 + J) is as if samples were independent, times the square of `INFLATION`, `images` the
     information of the fit's evidence, as of independent samples, `trust` how far the images were believed, 0 … 1.
     """
-    judging = [(evidence.term.name, rows) for evidence, _, rows in fit.entered if evidence.agreement is not None]
-    count = sum(np.count_nonzero(rows.weight) for _, rows in judging)
+    judging = [(e.term.name, len(points), rows) for e, points, rows in fit.entered if e.agreement is not None]
+    count = sum(np.count_nonzero(rows.weight[:points]) for _, points, rows in judging)
     if not count:
         return posterior
     # Mean square residual in units of its claimed variance: 1 where the noise is as large as it is said to be.
-    factor = 2.0 * sum(fit.energies[name] for name in {name for name, _ in judging}) / count
+    factor = 2.0 * sum(fit.energies[name] for name in {name for name, *_ in judging}) / count
     together, posed = np.zeros_like(images), fit.before
     for _, points, rows in fit.entered:
         add_shared_variance(points.bound_to(posed), rows.gradient, rows.weight, posed.projector, together)
