@@ -17,12 +17,11 @@ if TYPE_CHECKING:
     from twistcap.adjust.clocks import Coarse, KeypointClock
     from twistcap.io.clocks import Clock
 
-_PASSES = 5  # of tracking and estimating, at most, until the clocks settle
+_PASSES = 10  # of tracking and estimating, at most, until the clocks settle
 _FIRST = 100  # frames of the first pass; twice as many, and again, where the settled clocks are not known well
 _AIM = 0.02  # frames, standard deviation of a clock that is known well
-_SETTLED = 0.1  # frames by which clocks may move in the last pass
-_SURE = 0.1  # frames, of the standard deviation of a clock that is sure
-_SURE_KEYPOINTS = 0.3  # the same of the keypoints' clock, which is rougher
+_SURE = 0.1  # frames, of the standard deviation of a clock that is sure by itself
+_CLEAR = 3.0  # standard deviations by which the session's clock is surely worse
 _LOST = 0.1  # fraction of frames that may be lost, or without a camera, where clocks are sure
 _LONGEST = 120.0  # s of each recording that are compared for the coarse offsets
 _RATE = {"sound": 500.0, "motion": 240.0}  # 1/s, at which signals are compared
@@ -83,7 +82,7 @@ def synchronise(path: Path, start: str = "auto", count: int = 400, write: bool =
     given = {name: Clock(**session.clocks[name].model_dump()) if name in session.clocks else Clock() for name in names}
     clocks, way, coarse = _coarse(session, names, given, start)
     clocks, found = _settled(session, clocks, count)
-    doubts = (*((None, why) for why in coarse), *found.doubts)
+    doubts = [*((None, why) for why in coarse), *found.doubts, *_vague(session, given, clocks, found)]
     sure = [name for name in (*names, _KEYPOINTS) if not any(of in (None, name) for of, _ in doubts)]
     stays = next((name for name in names if name in sure), names[0])
     first = clocks[stays].offset - given[stays].offset  # the clock of this camera stays
@@ -116,15 +115,16 @@ def _settled(session: Any, clocks: dict[str, Clock], count: int) -> tuple[dict[s
         clocks = {
             k: replace(c, offset=c.offset + float(s)) for (k, c), s in zip(clocks.items(), found.late, strict=True)
         }
-        moves = dict(zip(clocks, np.abs(found.late) / found.frame, strict=True))
-        moved, sigma = max(moves.values()), float(found.sigma.max()) / found.frame
+        moves, sigmas = (np.abs(s) / found.frame for s in (found.late, found.sigma))
+        moved, sigma = moves.max(), sigmas.max()
         words.print(f"pass {n}, {found.tracked} frames: clocks moved by up to {moved:.2f} frames, known to {sigma:.3f}")
-        if moved >= _SETTLED and n < _PASSES:
+        moving = moves > np.maximum(sigmas, _AIM)
+        if moving.any() and n < _PASSES:
             continue
-        if moved >= _SETTLED or sigma <= _AIM or found.tracked < frames or frames == count:
+        if moving.any() or sigma <= _AIM or found.tracked < frames or frames == count:
             still = "the clock of {} still moved by {:.2f} frames in the last pass"
-            moving = tuple((name, still.format(name, by)) for name, by in moves.items() if by >= _SETTLED)
-            return clocks, replace(found, doubts=(*moving, *found.doubts))
+            doubts = tuple((k, still.format(k, by)) for k, by, m in zip(clocks, moves, moving, strict=True) if m)
+            return clocks, replace(found, doubts=(*doubts, *found.doubts))
         n, frames = 0, min(2 * frames, count)
 
 
@@ -233,7 +233,7 @@ def _one_pass(session: Any, clocks: dict[str, Clock], count: int) -> _Pass:
         )  # fmt: skip
     frame = timeline.intervals[timeline.reference]
     keypoints = _keypoint_clock(session, recording, found.poses.poses, (views.lags + found.late[:, None]) / frame)
-    doubts = _doubts(rig.names, estimates, found.sigma / frame, keypoints)
+    doubts = _doubts(rig.names, estimates)
     return _Pass(found.late, found.sigma, frame, len(estimates), doubts, together, keypoints)
 
 
@@ -247,16 +247,22 @@ def _window(session: Any, count: int) -> tuple[Any, tuple[int, int]]:
     return session.model_copy(update={"frames": (first, last), "step": 1}), (together[0], together[-1])
 
 
-def _doubts(
-    names: tuple[str, ...], estimates: list[Any], sigma: Any, keypoints: KeypointClock | None
-) -> tuple[_Doubt, ...]:
-    out: list[_Doubt] = [
-        (name, f"the clock of {name} is known to ± {s:.2f} frames only")
-        for name, s in zip(names, sigma, strict=True)
-        if s > _SURE
-    ]
-    if keypoints is not None and keypoints.sigma > _SURE_KEYPOINTS:
-        out.append((_KEYPOINTS, f"the clock of the keypoints is known to ± {keypoints.sigma:.2f} frames only"))
+def _vague(session: Any, given: dict[str, Clock], clocks: dict[str, Clock], found: _Pass) -> list[_Doubt]:
+    """Clocks that are not known well, and where the session's own may be as good."""
+    news = np.array([clock.offset - given[name].offset for name, clock in clocks.items()])
+    moved, sigmas = (news - news[np.argmin(found.sigma)]) / found.frame, found.sigma / found.frame
+    known = [(name, f"clock of {name}", m, s) for name, m, s in zip(clocks, moved, sigmas, strict=True)]
+    if (own := found.keypoints) is not None:
+        moved_by = own.offset - session.first_pose.keypoints.offset
+        known.append((_KEYPOINTS, "clock of the keypoints", moved_by, own.sigma))
+    return [
+        (of, f"the {what} is known to ± {s:.2f} frames only, and the session's fits as well")
+        for of, what, m, s in known if s > _SURE and abs(m) < _CLEAR * s
+    ]  # fmt: skip
+
+
+def _doubts(names: tuple[str, ...], estimates: list[Any]) -> tuple[_Doubt, ...]:
+    out = list[_Doubt]()
     lost = np.mean([e.lost for e in estimates])
     if lost > _LOST:
         out.append((None, f"the body was lost in {100 * lost:.0f} % of the frames"))
