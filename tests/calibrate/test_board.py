@@ -138,3 +138,10 @@ def test_what_is_asked_in_vain_is_told_before_videos_are_read(
     asked = ("calibrate", tmp_path / "rig", *videos, "--board")
     assert "the frames of camera a are 0 to 2; name one" in refusal(capsys, *asked, "chessboard:8x5:20", "--floor", "3")
     assert "use one of an even and an odd side" in refusal(capsys, *asked, "chessboard:8x6:20")
+    there = tmp_path / "rig" / "Calib.toml"
+    there.parent.mkdir(exist_ok=True)
+    there.write_text("mine")
+    told = "Calib.toml exists; choose another folder, or replace it with --overwrite"
+    assert told in refusal(capsys, *asked, "chessboard:8x5:20")
+    assert told not in refusal(capsys, *asked, "chessboard:8x5:20", "--overwrite")
+    assert there.read_text() == "mine"

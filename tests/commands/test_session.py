@@ -10,6 +10,11 @@ import pytest
 from pygltflib import GLTF2
 
 from support.commands import document, refusal, run
+from twistcap.body import gltf
+from twistcap.io.provenance import made_of
+from twistcap.io.recording import body_in_words, open_recording
+from twistcap.io.session import load_session
+from twistcap.io.session_check import check_session
 from twistcap.settings import Settings
 
 FILE = 'file = "first_pose.npz"\nframe = 0\nrefine = false'
@@ -71,16 +76,25 @@ def test_what_a_track_would_refuse_is_refused(
     assert told.format(path.parent) in sentence and str(path.parent) in sentence
 
 
+def test_a_glb_is_parsed_once(walk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parsed, loaded = list[Path](), gltf._loaded  # pyright: ignore[reportPrivateUsage]
+    monkeypatch.setattr(gltf, "_loaded", lambda path, rig: (parsed.append(path), loaded(path, rig))[1])
+    session = load_session(walk / "session.toml")
+    check_session(session)
+    assert body_in_words(session) == "" and made_of(session, open_recording(session).views)["body"]
+    assert len(parsed) == 1
+
+
 @pytest.mark.parametrize("q", ["{}", '{"lumbar_extension": 0.1}'])
 def test_a_glb_of_which_no_rig_is_known_is_said(
     walk: Path, tmp_path: Path, q: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The studio's body as if another program had written it: its bones have nobody's names."""
     folder = Path(shutil.copytree(walk, tmp_path / "w"))
-    gltf = GLTF2().load(str(folder / "body.glb"))
-    assert gltf is not None
-    gltf.asset.extras = gltf.skins[0].extras = {}
-    gltf.save(str(folder / "body.glb"))
+    file = GLTF2().load(str(folder / "body.glb"))
+    assert file is not None
+    file.asset.extras = file.skins[0].extras = {}
+    file.save(str(folder / "body.glb"))
     root = "[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]]"
     (folder / "first_pose.json").write_text(f'{{"root": {root}, "q": {q}}}')
     path = folder / "session.toml"

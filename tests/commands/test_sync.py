@@ -49,6 +49,50 @@ def test_a_wrong_clock_is_put_right(walk: Path, tmp_path: Path, capsys: pytest.C
     assert clocks["cam02"].offset == rows["cam02"]["after_s"]
 
 
+def test_only_clocks_that_are_sure_are_written(
+    walk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The first camera that is sure keeps its clock; where none is, nothing is written. A rough clock is sure enough
+    where the session's is far off.
+    """
+    text = walk.read_text() + "\n[clocks.cam01]\noffset = 0.5\n[clocks.cam04]\noffset = 0.5\n"
+    session = walk.with_name("unsure.toml")
+    late, sigma, lost = np.array([0.0, 0.25, -0.125, 0.0]), np.array([0.3, 0.02, 0.2, 0.0]), 0.0
+
+    def one_pass(_: object, clocks: dict[str, Clock], count: int) -> Any:
+        steps = late - [clock.offset - 0.5 for clock in clocks.values()]
+        estimates = [SimpleNamespace(lost=k < lost * count, left_out=()) for k in range(count)]
+        doubts = sync._doubts(tuple(clocks), cast(Any, estimates))  # pyright: ignore[reportPrivateUsage]
+        return sync._Pass(steps, sigma / FPS, 1 / FPS, 24, doubts, (0, 35), None)  # pyright: ignore[reportPrivateUsage]
+
+    monkeypatch.setattr(sync, "_one_pass", one_pass)
+    session.write_text(text)
+    found = document(capsys, "sync", session, "--start", "given")
+    assert found["written"] and [row["sure"] for row in found["cameras"]] == [False, True, True, True]
+    offsets = {name: clock.offset for name, clock in load_session(session).clocks.items()}
+    assert offsets == {"cam01": 0.5, "cam02": 0.0, "cam03": -0.375, "cam04": -0.25}
+    assert "offset = 0.5\n" in session.read_text()  # which is not by sync
+    session.write_text(text)
+    assert run("sync", session, "--start", "given") == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "The clocks stay of cam01; to take what was found, write it as offset in [clocks.cam01]" in said
+    session.write_text(text)
+    lost = 0.5
+    found = document(capsys, "sync", session, "--start", "given")
+    assert not found["written"] and not any(row["sure"] for row in found["cameras"])
+    assert session.read_text() == text and "the body was lost in 50 % of the frames" in found["unsure"]
+
+
+def test_a_clock_that_moves_by_more_than_it_claims_is_not_sure(
+    walk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    step, sigma = np.array([0.0, 0.08, 0.01, 0.0]) / FPS, np.array([0.0, 0.05, 0.05, 0.05]) / FPS
+    monkeypatch.setattr(sync, "_one_pass", lambda *_: sync._Pass(step, sigma, 1 / FPS, 24, (), (0, 35), None))  # pyright: ignore[reportPrivateUsage]
+    found = document(capsys, "sync", walk, "--start", "given", "--dry-run")
+    assert [row["sure"] for row in found["cameras"]] == [True, False, True, True]
+    assert found["unsure"] == ["the clock of cam02 still moved by 0.08 frames in the last pass"]
+
+
 def test_track_names_a_camera_that_is_late(walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """By as much as the offset that mends it; clocks that agree are not looked at a second time."""
     late = walk.with_name("late2.toml")

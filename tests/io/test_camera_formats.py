@@ -287,5 +287,6 @@ def test_the_command_converts_and_tells(tmp_path: Path, capsys: pytest.CaptureFi
     assert "does not exist" in refusal(capsys, "convert", tmp_path / "none.toml", tmp_path / "b.toml")
     assert "WIDTHxHEIGHT" in refusal(capsys, "convert", tmp_path / "a.qca.txt", tmp_path / "b", "--size", "big")
     assert "distortion, which a 3 × 4" in refusal(
-        capsys, "convert", tmp_path / "a.qca.txt", tmp_path / "b", "--to", "projections", "--up", "z"
+        capsys, "convert", tmp_path / "a.qca.txt", tmp_path / "b" / "c", "--to", "projections", "--up", "z"
     )
+    assert not (tmp_path / "b").exists()

@@ -20,7 +20,7 @@ from twistcap.io.cameras import write_cameras
 from twistcap.io.cameras.axes import with_z_up
 from twistcap.io.cameras.units import scaled
 from twistcap.io.keypoints import LAYOUTS
-from twistcap.io.projects import paired
+from twistcap.io.projects import found_project, paired
 from twistcap.io.recording import rig_of, views_of
 from twistcap.io.session import Session, load_session
 from twistcap.io.videowriter import VideoWriter
@@ -91,6 +91,19 @@ def test_pose2sim(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert told["first_pose"]["stature_m"] == pytest.approx(1.75, abs=0.05)
     session, told = made(capsys, tmp_path / "Trial_2")  # in the trial's own folder
     assert session.first_pose.unaided and "Project of Pose2Sim" in " ".join(told["found"])
+
+
+def test_25_points_without_a_name_are_said_to_be_body_25(tmp_path: Path) -> None:
+    (tmp_path / "calibration").mkdir()
+    write_rig(RIG, tmp_path / "calibration" / "Calib.toml")
+    (tmp_path / "videos").mkdir()
+    poses(tmp_path / "pose", "body_25b", [f"{n}_json" for n in RIG.names])
+    found = found_project(tmp_path)
+    assert found.layout == "body_25" and 'write format = "body_25b" into' in " ".join(found.notes)
+    for name in ("BODY_25", "BODY_25B"):
+        (tmp_path / "Config.toml").write_text(f"[pose]\npose_model = '{name}'\n")
+        found = found_project(tmp_path)
+        assert found.layout == name.lower() and found.notes == ()
 
 
 def test_keypoints_that_give_no_pose_lead_to_clicks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -67,11 +67,11 @@ def load_rigged(path: Path | str, rig: Path | str | RigSpec | None = None) -> Ri
     return found
 
 
-def rig_in_words(path: Path | str, rig: Path | str | None = None) -> str:
-    """Where the meaning of a file's joints is from: a rig file, a known rig, or nowhere; "" for a file of `save_glb`.
-    Errors as `load_glb`."""
-    about = _loaded(Path(path), rig).about
-    return f"body {path}: {about}" if about else ""
+def load_told(path: Path | str, rig: Path | str | None = None) -> tuple[Body, str]:
+    """As `load_glb`, and where the meaning of the joints is from, in words: a rig file, a known rig, or nowhere; "" for
+    a file of `save_glb`."""
+    found = _loaded(Path(path), rig)
+    return found.body, f"body {path}: {found.about}" if found.about else ""
 
 
 def _loaded(path: Path, rig: Path | str | RigSpec | None) -> Rigged:

@@ -27,6 +27,7 @@ _REACH, _KEPT = 4.0, 4.0  # standard deviations: of the robust loss; of the poin
 _SHARPEST = 0.01  # px; no point is found better than that: no board's picture and no print is more exact
 _RAYLEIGH = 1.1774  # median distance in the plane over the standard deviation of each coordinate
 _LATE = 2.0  # frames; standard deviation of a clock that is not known
+_PARABOLA = 0.041  # rms of t (1 − t²) / 6 for |t| < 1/2; see `_between_frames`
 _FEWEST = 4  # right points of a sighting
 _STEPS = 60
 
@@ -265,10 +266,24 @@ def _outcome(setup: Setup, x: Variables, sigmas: Float, kept: list[Bool], energy
     return Adjustment(
         _reached(setup, x), setup.sightings, tuple(kept), sigmas, setup.solids, shapes,
         tuple(block(f"place {c}") for c in cameras), tuple(block(f"lens {c}") for c in cameras),
-        np.array([np.sqrt(block(f"clock {c}")[0, 0]) for c in cameras]),
+        np.hypot([np.sqrt(block(f"clock {c}")[0, 0]) for c in cameras], _between_frames(setup)),
         {name: np.sqrt(np.diagonal(block(f"shape of {name}"))) for name in setup.solids},
         tuple(_residuals(setup, x)), energy,
     )  # fmt: skip
+
+
+def _between_frames(setup: Setup) -> Float:
+    """(C,) frames by which estimated clocks err since the board is no parabola between three frames.
+
+    Of a swing sin ωt it is wrong by ω² t (1 − t²) / 6 of the speed, at the fraction t of a frame. There ω² is the mean
+    square of the acceleration over that of the speed.
+    """
+    out = np.zeros(len(setup.guess.lenses))
+    for c in setup.estimated_clocks:
+        seen = [s.motion for s in setup.sightings if s.camera == c and s.motion is not None]
+        speed, half = (float(np.sum(part * part)) for part in np.concatenate(seen, axis=1))
+        out[c] = _PARABOLA * 4.0 * half / max(speed, 1e-12)
+    return out
 
 
 def _track(motions: Sequence[Float]) -> PoseTrack:

@@ -39,12 +39,14 @@ Lens = Annotated[str, typer.Option(help="auto, brown (OpenCV's 5 numbers) or fis
 Looks = Annotated[int, typer.Option(min=3, help="Frames of each video in which the board is looked for.")]
 Port = Annotated[int, typer.Option(min=0, max=65535, help="Of --click, on 127.0.0.1; 0 chooses a free one.")]
 Clocks = Annotated[bool, typer.Option(help="Find by how much cameras show other moments.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an older DIR/Calib.toml.")]
 
 
 def calibrate(
     folder: Folder, board: TheBoard, videos: terminal.Videos = None, more: terminal.MoreVideos = None,
     lone: LensOf = None, points: Points = None, click: Click = None, floor: Floor = None, lens: Lens = "auto",
-    looks: Looks = 400, clocks: Clocks = True, port: Port = 0, json: terminal.Json = False,
+    looks: Looks = 400, clocks: Clocks = True, port: Port = 0, overwrite: Overwrite = False,
+    json: terminal.Json = False,
 ) -> None:  # fmt: skip
     """Calibrate cameras by videos of a board that is carried about: DIR/Calib.toml and DIR/calibration.html.
 
@@ -75,7 +77,8 @@ def calibrate(
         raise InputError("--floor is for videos of the board; with --points the world is that of the points.")
     if click and json:
         raise InputError("--click opens a page; it does not go with --json.")
-    terminal.output_folder(folder)  # before the work
+    if (terminal.output_folder(folder) / "Calib.toml").exists() and not overwrite:  # before the work
+        raise InputError(f"{folder / 'Calib.toml'} exists; choose another folder, or replace it with --overwrite.")
     points = _clicked(points, click, alone, port) if click else points
     with terminal.status("calibrating") as report:
         if points is not None:

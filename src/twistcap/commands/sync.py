@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from twistcap.adjust.clocks import Coarse, KeypointClock
     from twistcap.io.clocks import Clock
 
-_PASSES = 5  # of tracking and estimating, at most, until the clocks settle
+_PASSES = 10  # of tracking and estimating, at most, until the clocks settle
 _FIRST = 100  # frames of the first pass; twice as many, and again, where the settled clocks are not known well
 _AIM = 0.02  # frames, standard deviation of a clock that is known well
-_SETTLED = 0.1  # frames by which clocks may move in the last pass
-_SURE = 0.1  # frames, of the standard deviation of a clock that is sure
+_SURE = 0.1  # frames, of the standard deviation of a clock that is sure by itself
+_CLEAR = 3.0  # standard deviations by which the session's clock is surely worse
 _LOST = 0.1  # fraction of frames that may be lost, or without a camera, where clocks are sure
 _LONGEST = 120.0  # s of each recording that are compared for the coarse offsets
 _RATE = {"sound": 500.0, "motion": 240.0}  # 1/s, at which signals are compared
@@ -32,7 +32,7 @@ _KEPT = 0.07  # s by which coarse offsets may differ from the given ones that ar
 
 
 def sync(
-    session: Annotated[Path, typer.Argument(help="Session TOML; its clocks are written.", metavar="SESSION")],
+    session: Annotated[Path, typer.Argument(help="Session TOML; sure clocks are written.", metavar="SESSION")],
     start: Annotated[str, typer.Option(help="auto, sound, motion, or given: where to begin.")] = "auto",
     count: Annotated[int, typer.Option("--frames", min=24, help="Most frames that are tracked.")] = 400,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say the clocks, and write nothing.")] = False,
@@ -41,7 +41,7 @@ def sync(
     """Find out how the clocks of the cameras differ, and write it into the session as [clocks].
 
     Coarsely by the sound (a clap) or by how much moves in each view, then finely by the tracked body. Where the session
-    has keypoints, their clock is found too.
+    has keypoints, their clock is found too. A clock that is not sure is told, and stays as it is.
 
     Examples:
 
@@ -53,6 +53,10 @@ def sync(
     terminal.finish(synchronise(session, start, count, not dry_run), json, tell)
 
 
+_KEYPOINTS = ""  # they have a clock as cameras have
+_Doubt = tuple[str | None, str]  # whose clock is not sure, None for all, and why
+
+
 @dataclass(frozen=True)
 class _Pass:
     """What one pass of tracking and estimating found: clocks, and what is doubtful."""
@@ -61,13 +65,13 @@ class _Pass:
     sigma: Any
     frame: float  # s from one frame to the next
     tracked: int  # frames
-    doubts: tuple[str, ...]
+    doubts: tuple[_Doubt, ...]
     together: tuple[int, int]
     keypoints: KeypointClock | None
 
 
 def synchronise(path: Path, start: str = "auto", count: int = 400, write: bool = True) -> dict[str, Any]:
-    """Estimate the clocks of a session and write them; what ``--json`` prints."""
+    """Estimate the clocks of a session and write those that are sure; what ``--json`` prints."""
     from twistcap.io.clocks import Clock
     from twistcap.io.recording import rig_of
     from twistcap.io.session import load_session
@@ -76,43 +80,51 @@ def synchronise(path: Path, start: str = "auto", count: int = 400, write: bool =
     session = load_session(path)
     names = rig_of(session).names
     given = {name: Clock(**session.clocks[name].model_dump()) if name in session.clocks else Clock() for name in names}
-    clocks, way, doubts = _coarse(session, names, given, start)
-    clocks, found, moved = _settled(session, clocks, count)
-    if moved >= _SETTLED:
-        doubts = (*doubts, f"the clocks still moved by {moved:.2f} frames in the last pass")
-    first = clocks[names[0]].offset - given[names[0]].offset  # the first camera's clock stays
+    clocks, way, coarse = _coarse(session, names, given, start)
+    clocks, found = _settled(session, clocks, count)
+    doubts = [*((None, why) for why in coarse), *found.doubts, *_vague(session, given, clocks, found)]
+    sure = [name for name in (*names, _KEYPOINTS) if not any(of in (None, name) for of, _ in doubts)]
+    stays = next((name for name in names if name in sure), names[0])
+    first = clocks[stays].offset - given[stays].offset  # the clock of this camera stays
     clocks = {name: replace(clock, offset=round(clock.offset - first, 6)) for name, clock in clocks.items()}
-    keypoints = None if found.keypoints is None else round(found.keypoints.offset, 3)
-    span = _within(session.frames, found.together)
-    if write:
-        write_clocks(path, clocks, span, keypoints)
     rows = [
         {"camera": name, "before_s": given[name].offset, "after_s": clocks[name].offset,
          "moved_frames": (clocks[name].offset - given[name].offset) / found.frame,
-         "sigma_frames": float(s) / found.frame}
+         "sigma_frames": float(s) / found.frame, "sure": name in sure}
         for name, s in zip(names, found.sigma, strict=True)
     ]  # fmt: skip
+    span = _within(session.frames, found.together) if {*names} <= {*sure} else None
+    keypoints = None if found.keypoints is None else round(found.keypoints.offset, 3)
+    known = {n: clocks[n] if n in sure else given[n] for n in names if n in sure or n in session.clocks}
+    known = known if len({*names} & {*sure}) > 1 else {}  # one clock alone says nothing
+    offset = keypoints if _KEYPOINTS in sure else None
+    if write := write and (bool(known) or offset is not None):
+        write_clocks(path, known, span, offset)
     about = {"id": "sync", "session": path, "written": write, "began_with": way, "cameras": rows, "frames": span}
     if found.keypoints is not None and session.first_pose.keypoints is not None:
         before, sigma = session.first_pose.keypoints.offset, found.keypoints.sigma
-        about |= {"keypoints": {"before": before, "after": keypoints, "sigma": sigma}}
-    return about | {"unsure": [*doubts, *found.doubts]}
+        about |= {"keypoints": {"before": before, "after": keypoints, "sigma": sigma, "sure": offset is not None}}
+    return about | {"unsure": [why for _, why in doubts]}
 
 
-def _settled(session: Any, clocks: dict[str, Clock], count: int) -> tuple[dict[str, Clock], _Pass, float]:
-    """Passes until the clocks stand still and are known well, or no frames are left; and the last move, in frames."""
+def _settled(session: Any, clocks: dict[str, Clock], count: int) -> tuple[dict[str, Clock], _Pass]:
+    """Passes until the clocks stand still and are known well, or no frames are left."""
     n, frames = 0, min(_FIRST, count)
     while True:
         n, found = n + 1, _one_pass(session, clocks, frames)
         clocks = {
             k: replace(c, offset=c.offset + float(s)) for (k, c), s in zip(clocks.items(), found.late, strict=True)
         }
-        moved, sigma = (float(np.abs(s).max()) / found.frame for s in (found.late, found.sigma))
+        moves, sigmas = (np.abs(s) / found.frame for s in (found.late, found.sigma))
+        moved, sigma = moves.max(), sigmas.max()
         words.print(f"pass {n}, {found.tracked} frames: clocks moved by up to {moved:.2f} frames, known to {sigma:.3f}")
-        if moved >= _SETTLED and n < _PASSES:
+        moving = moves > np.maximum(sigmas, _AIM)
+        if moving.any() and n < _PASSES:
             continue
-        if moved >= _SETTLED or sigma <= _AIM or found.tracked < frames or frames == count:
-            return clocks, found, moved
+        if moving.any() or sigma <= _AIM or found.tracked < frames or frames == count:
+            still = "the clock of {} still moved by {:.2f} frames in the last pass"
+            doubts = tuple((k, still.format(k, by)) for k, by, m in zip(clocks, moves, moving, strict=True) if m)
+            return clocks, replace(found, doubts=(*doubts, *found.doubts))
         n, frames = 0, min(2 * frames, count)
 
 
@@ -166,7 +178,7 @@ def _doubt(best: str, names: tuple[str, ...], found: dict[str, Coarse]) -> str:
     worst = names[int(np.argmin(found[best].margin))]
     chosen = f"; neither sound nor motion is clear, and the {best} is clearer" if len(found) > 1 else ""
     fits = f"the {best} of {worst} fits that of the others at several offsets"
-    return f"{fits}{chosen}; film a clap that all cameras hear"
+    return f"{fits}{chosen}; film a clap that all cameras hear, or begin with rough [clocks], as --start given"
 
 
 def _signals(session: Any, names: tuple[str, ...], given: dict[str, Clock], way: str) -> list[Any] | None:
@@ -220,8 +232,8 @@ def _one_pass(session: Any, clocks: dict[str, Clock], count: int) -> _Pass:
             replace(views, moved=False), body, rig, own, views.lags, timeline.reference, settings, report=report
         )  # fmt: skip
     frame = timeline.intervals[timeline.reference]
-    doubts = _doubts(rig.names, estimates, found.sigma / frame)
     keypoints = _keypoint_clock(session, recording, found.poses.poses, (views.lags + found.late[:, None]) / frame)
+    doubts = _doubts(rig.names, estimates)
     return _Pass(found.late, found.sigma, frame, len(estimates), doubts, together, keypoints)
 
 
@@ -235,19 +247,29 @@ def _window(session: Any, count: int) -> tuple[Any, tuple[int, int]]:
     return session.model_copy(update={"frames": (first, last), "step": 1}), (together[0], together[-1])
 
 
-def _doubts(names: tuple[str, ...], estimates: list[Any], sigma: Any) -> tuple[str, ...]:
-    out = [
-        f"the clock of {name} is known to ± {s:.2f} frames only"
-        for name, s in zip(names, sigma, strict=True)
-        if s > _SURE
-    ]
+def _vague(session: Any, given: dict[str, Clock], clocks: dict[str, Clock], found: _Pass) -> list[_Doubt]:
+    """Clocks that are not known well, and where the session's own may be as good."""
+    news = np.array([clock.offset - given[name].offset for name, clock in clocks.items()])
+    moved, sigmas = (news - news[np.argmin(found.sigma)]) / found.frame, found.sigma / found.frame
+    known = [(name, f"clock of {name}", m, s) for name, m, s in zip(clocks, moved, sigmas, strict=True)]
+    if (own := found.keypoints) is not None:
+        moved_by = own.offset - session.first_pose.keypoints.offset
+        known.append((_KEYPOINTS, "clock of the keypoints", moved_by, own.sigma))
+    return [
+        (of, f"the {what} is known to ± {s:.2f} frames only, and the session's fits as well")
+        for of, what, m, s in known if s > _SURE and abs(m) < _CLEAR * s
+    ]  # fmt: skip
+
+
+def _doubts(names: tuple[str, ...], estimates: list[Any]) -> tuple[_Doubt, ...]:
+    out = list[_Doubt]()
     lost = np.mean([e.lost for e in estimates])
     if lost > _LOST:
-        out.append(f"the body was lost in {100 * lost:.0f} % of the frames")
+        out.append((None, f"the body was lost in {100 * lost:.0f} % of the frames"))
     for c, name in enumerate(names):
         without = np.mean([c in e.left_out for e in estimates])
         if without > _LOST:
-            out.append(f"{name} contradicts the others in {100 * without:.0f} % of the frames")
+            out.append((name, f"{name} contradicts the others in {100 * without:.0f} % of the frames"))
     return tuple(out)
 
 
@@ -276,13 +298,17 @@ def tell(document: dict[str, Any]) -> None:
          f"{r['sigma_frames']:.3f}"]
         for r in document["cameras"]
     ]  # fmt: skip
-    columns = ["camera", "before, s", "after, s", "frames", "± (1σ), frames"]
+    columns = ["camera", "before, s", "found, s", "frames", "± (1σ), frames"]
     terminal.show_table("clocks: offset of each camera", columns, rows, ["camera"])
     if "keypoints" in document:
         k = document["keypoints"]
-        words.print(f"keypoints: offset {k['before']:g} before, {k['after']:g} ± {k['sigma']:.2f} frames now")
+        words.print(f"keypoints: offset {k['before']:g} before, {k['after']:g} ± {k['sigma']:.2f} frames found")
     if document["frames"]:
         words.print(f"frames = [{document['frames'][0]}, {document['frames'][1]}]: all cameras have these")
     for doubt in document["unsure"]:
         terminal.say(f"Not sure: {doubt}.")
+    stay = [r["camera"] for r in document["cameras"] if not r["sure"]]
+    if stay:
+        take = f"to take what was found, write it as offset in [clocks.{stay[0]}]"
+        terminal.say(f"The clocks stay of {', '.join(stay)}; {take}.")
     terminal.say(f"{'written into' if document['written'] else 'not written into'} {document['session']}")

@@ -6,7 +6,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -29,6 +29,7 @@ Videos = Annotated[
 ]
 MoreVideos = Annotated[list[str] | None, typer.Argument(help="More videos, as for --videos.", metavar="[VIDEO]...")]
 Advance = Callable[[str], None]
+_made = list[Path]()  # folders of this run, inner ones first; they go again where nothing is written into them
 
 
 def run_command(app: typer.Typer, name: str, arguments: Sequence[str] | None, called: str | None = None) -> None:
@@ -47,6 +48,10 @@ def run_command(app: typer.Typer, name: str, arguments: Sequence[str] | None, ca
             print(f"{name}: interrupted; nothing more is written.", file=sys.stderr)
             sys.exit(130)
         raise
+    finally:
+        while _made:
+            with suppress(OSError):  # it holds something
+                _made.pop(0).rmdir()
 
 
 @contextmanager
@@ -134,8 +139,12 @@ def show_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
 
 
 def output_folder(path: str | Path) -> Path:
-    """The folder, created if it does not exist. Raises InputError where it cannot be made."""
+    """The folder, created if it does not exist; at the end of a run it goes again if it is empty.
+
+    Raises InputError where it cannot be made.
+    """
     folder = Path(path)
+    _made.extend(parent for parent in (folder, *folder.parents) if not parent.exists())
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

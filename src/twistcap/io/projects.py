@@ -23,6 +23,10 @@ from twistcap.io.new_session import VIDEO_ENDINGS, Draft, drafted
 from twistcap.io.video import open_source
 
 _POSES = ("pose-associated", "pose-sync", "pose", "pose-2d", "raw-2d")  # of Pose2Sim, the furthest worked first
+_GUESSED = (
+    "Its keypoints have 25 points and no Config.toml names their model, so they are taken for body_25. If they are"
+    ' body_25b, write format = "body_25b" into [first_pose.keypoints].'
+)
 _BY_COUNT = {len(names): layout for layout, names in LAYOUTS.items() if layout != "body_25b"}
 
 
@@ -190,8 +194,10 @@ def _pose2sim(folder: Path, trial: str | None) -> Project | None:
     for name in _POSES:
         folders = {p.name.removesuffix("_json"): p for p in sorted((own / name).glob("*")) if any(p.glob("*.json"))}
         if folders:
-            layout = _layout(folders, _model(own, *above))
-            return Project("Pose2Sim", calibrations[0], "toml", videos, folders, layout)
+            model = _model(own, *above)
+            layout = _layout(folders, model)
+            notes = (_GUESSED,) if layout == "body_25" and model != layout else ()
+            return Project("Pose2Sim", calibrations[0], "toml", videos, folders, layout, notes=notes)
     return Project("Pose2Sim", calibrations[0], "toml", videos)
 
 

@@ -17,7 +17,6 @@ from twistcap.adjust.first_pose import (
 )
 from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose, Posed, rescaled
-from twistcap.body.gltf import load_glb, rig_in_words
 from twistcap.body.humanoid import humanoid
 from twistcap.body.obj_rig import load_makehuman
 from twistcap.camera import Camera, Rig
@@ -194,7 +193,7 @@ def body_of(session: Session) -> Body:
         if not Path(path).exists():
             raise InputError(f"{session.source or 'body'}: [body] {key}: {path} does not exist; check its path.")
     if isinstance(body, GlbBody):
-        loaded = load_glb(body.path, body.rig)
+        loaded = body.told[0]
     else:
         targets: dict[Path | str, float] = {Path(path): weight for path, weight in body.targets.items()}
         loaded = load_makehuman(body.path, body.rig, body.weights, targets, body.spec)
@@ -204,7 +203,7 @@ def body_of(session: Session) -> Body:
 
 def body_in_words(session: Session) -> str:
     """Of a GLB, where the meaning of its joints is from; "" for other bodies. Raises InputError as `body_of`."""
-    return rig_in_words(session.body.path, session.body.rig) if isinstance(session.body, GlbBody) else ""
+    return session.body.told[1] if isinstance(session.body, GlbBody) else ""
 
 
 def _first_pose(session: Session, rig: Rig, body: Body, views: Views) -> tuple[_Start, Pose]:

@@ -28,8 +28,9 @@ def write_clocks(
     before = read_text(path)
     text = before
     if clocks:
-        lines = _without(before.splitlines(), "clocks")
-        text = "\n".join(lines).rstrip() + "\n" + "".join(_table(name, clock) for name, clock in clocks.items())
+        lines, had = _without(before.splitlines(), "clocks"), load_session(path).clocks
+        tables = (_table(n, c, n not in had or Clock(**had[n].model_dump()) != c) for n, c in clocks.items())
+        text = "\n".join(lines).rstrip() + "\n" + "".join(tables)
     if frames is not None:
         text = _with_frames(text, frames)
     if keypoints is not None:
@@ -53,11 +54,12 @@ def write_clocks(
         Path(part).write_text(text, encoding="utf-8")
 
 
-def _table(name: str, clock: Clock) -> str:
+def _table(name: str, clock: Clock, new: bool) -> str:
     key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
     rate = f"rate = {clock.rate!r}\n" if clock.rate != 1.0 else ""
     fps = f"fps = {clock.fps!r}\n" if clock.fps is not None else ""
-    return f"\n[clocks.{key}]\noffset = {clock.offset!r}  # s, by twistcap sync\n{rate}{fps}"
+    found = "  # s, by twistcap sync" if new else ""
+    return f"\n[clocks.{key}]\noffset = {clock.offset!r}{found}\n{rate}{fps}"
 
 
 def _with_frames(text: str, frames: tuple[int, int]) -> str:

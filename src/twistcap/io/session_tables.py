@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -13,6 +14,7 @@ from twistcap.io.model_file import is_address, is_model_file
 from twistcap.motion import MotionKind
 
 if TYPE_CHECKING:
+    from twistcap.body import Body
     from twistcap.io.norms import Band
 
 
@@ -111,6 +113,13 @@ class GlbBody(_Loaded):
     """``[body] kind = "glb"``: a skinned GLB or glTF and the TOML that describes its joints."""
 
     kind: Literal["glb"]
+
+    @cached_property
+    def told(self) -> tuple[Body, str]:
+        """The body at its own size, and where the meaning of its joints is from; the file is parsed once."""
+        from twistcap.body.gltf import load_told
+
+        return load_told(self.path, self.rig)
 
 
 class ObjBody(_Loaded):
