@@ -67,7 +67,7 @@ def load_rigged(path: Path | str, rig: Path | str | RigSpec | None = None) -> Ri
     return found
 
 
-def load_told(path: Path | str, rig: Path | str | None = None) -> tuple[Body, str]:
+def load_described(path: Path | str, rig: Path | str | None = None) -> tuple[Body, str]:
     """As `load_glb`, and where the meaning of the joints is from, in words: a rig file, a known rig, or nowhere; "" for
     a file of `save_glb`."""
     found = _loaded(Path(path), rig)

@@ -193,7 +193,7 @@ def body_of(session: Session) -> Body:
         if not Path(path).exists():
             raise InputError(f"{session.source or 'body'}: [body] {key}: {path} does not exist; check its path.")
     if isinstance(body, GlbBody):
-        loaded = body.told[0]
+        loaded = body.described[0]
     else:
         targets: dict[Path | str, float] = {Path(path): weight for path, weight in body.targets.items()}
         loaded = load_makehuman(body.path, body.rig, body.weights, targets, body.spec)
@@ -203,7 +203,7 @@ def body_of(session: Session) -> Body:
 
 def body_in_words(session: Session) -> str:
     """Of a GLB, where the meaning of its joints is from; "" for other bodies. Raises InputError as `body_of`."""
-    return session.body.told[1] if isinstance(session.body, GlbBody) else ""
+    return session.body.described[1] if isinstance(session.body, GlbBody) else ""
 
 
 def _first_pose(session: Session, rig: Rig, body: Body, views: Views) -> tuple[_Start, Pose]:

@@ -115,11 +115,11 @@ class GlbBody(_Loaded):
     kind: Literal["glb"]
 
     @cached_property
-    def told(self) -> tuple[Body, str]:
+    def described(self) -> tuple[Body, str]:
         """The body at its own size, and where the meaning of its joints is from; the file is parsed once."""
-        from twistcap.body.gltf import load_told
+        from twistcap.body.gltf import load_described
 
-        return load_told(self.path, self.rig)
+        return load_described(self.path, self.rig)
 
 
 class ObjBody(_Loaded):
