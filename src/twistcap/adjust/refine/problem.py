@@ -16,6 +16,7 @@ from twistcap.adjust.sequence import accelerations, pose_priors
 from twistcap.arrays import Float
 from twistcap.body import Pose, Posed
 from twistcap.body.shape import RestMotion
+from twistcap.predict import MotionNoise
 from twistcap.solve import Arrow
 
 
@@ -41,6 +42,7 @@ class Standing:
     hinge: float
     shape_weight: float
     contour: float
+    noise: MotionNoise = MotionNoise()
 
 
 class RefineProblem:
@@ -70,7 +72,7 @@ class RefineProblem:
                 yield prior.name, t, prior.energy(posed[t])
         for pair in self.pairs:
             yield "photometric", pair.second, reshaped(pair, maps).energy(posed[pair.first], posed[pair.second])
-        yield "motion", len(posed) - 1, accelerations(x.poses, self.standing.times)
+        yield "motion", len(posed) - 1, accelerations(x.poses, self.standing.times, self.standing.noise)
         yield "shape", len(posed) - 1, self.standing.shape_weight * x.shape.prior(self.standing.hinge)[0]
 
     def linearised(self, x: Track) -> Arrow:
@@ -96,7 +98,7 @@ class RefineProblem:
                 quadratic = prior.linearize(posed[t])
                 arrow.value += quadratic.value
                 arrow.add_pose(t, quadratic.gradient, quadratic.hessian)
-        arrow.value += accelerations(x.poses, self.standing.times, system=arrow)
+        arrow.value += accelerations(x.poses, self.standing.times, self.standing.noise, arrow)
         value, gradient, information = x.shape.prior(self.standing.hinge)
         arrow.value += self.standing.shape_weight * value
         arrow.shared_pull += self.standing.shape_weight * gradient
