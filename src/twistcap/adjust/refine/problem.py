@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -42,7 +42,7 @@ class Standing:
     hinge: float
     shape_weight: float
     contour: float
-    noise: MotionNoise = MotionNoise()
+    noise: MotionNoise = field(default_factory=MotionNoise)
 
 
 class RefineProblem:
