@@ -22,7 +22,7 @@ from twistcap.errors import InputError, check, naming
 from twistcap.io.angles import decomposed
 from twistcap.io.files import write_lines
 from twistcap.io.markers import TO_FILE
-from twistcap.motion.skeleton import SkeletonMotion
+from twistcap.motion.skeleton import SkeletonMotion, rest_positions
 
 _TO_FILE = TO_FILE["pose2sim"]  # our (x, y, z) -> (y, z, x)
 _ZYX = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
@@ -50,7 +50,7 @@ def read_bvh(path: Path | str) -> SkeletonMotion:
     places, turns = bvh.to_rotmat()
     moving = np.asarray(tree.joint_idx)
     local = np.where(moving[:, None, None] >= 0, turns[:, moving], np.eye(3))
-    unit = _unit(path, _rest(offsets, tree.parent_idx))
+    unit = _unit(path, rest_positions(offsets, tree.parent_idx))
     up = "z" if str(bvh.rest_up).endswith("z") else "y"
     # The root's own offset is not added to its channels, as in Blender and pybvh.
     with naming(path):
@@ -65,13 +65,6 @@ def _names(bvh: Any, tree: Any) -> list[str]:
         if joint < 0:
             names[s] = f"{names[tree.parent_idx[s]]}_end"
     return names
-
-
-def _rest(offsets: Float, parents: Any) -> Float:
-    out = offsets.copy()
-    for s in range(1, len(out)):
-        out[s] += out[parents[s]]
-    return out
 
 
 def _unit(path: Path, rest: Float) -> float:
