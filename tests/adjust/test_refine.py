@@ -224,7 +224,7 @@ def test_the_problem_is_the_slope_of_its_energy() -> None:
     )  # fmt: skip
     tallies = [(np.zeros(1), np.zeros(1))] * 3
     look = CameraRound([term, None, term], [pair], tallies, None)  # pyright: ignore[reportArgumentType]
-    standing = Standing([0.0, 0.1, 0.2], MotionNoise(shift=1e6), 0.5, 0.0, 3.0, 0.7)
+    standing = Standing([0.0, 0.1, 0.2], 0.0, 3.0, 0.7, MotionNoise(shift=1e6))
     problem = RefineProblem(track, [look], standing)
     arrow = problem.linearised(track)
     assert arrow.value == pytest.approx(sum(problem.energies(track).values()))

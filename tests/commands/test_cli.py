@@ -27,6 +27,7 @@ from twistcap.io.calibration import read_rig
 from twistcap.io.lock import WriteLock
 from twistcap.io.motion_files import write_mot
 from twistcap.io.result import ResultWriter, read_result
+from twistcap.io.result_schema import COLUMNS
 from twistcap.io.video import VideoSource
 from twistcap.studio.motion import gait
 
@@ -177,8 +178,8 @@ def test_a_correction_that_was_cut_off_is_ended(
         assert run(*track, tmp_path / "cut") == 130
     assert document(capsys, *track, tmp_path / "cut", "--resume")["frames"] == int(frames[-1]) + 1
     whole, ended = (read_result(tmp_path / name / "result.h5") for name in ("whole", "cut"))
-    for name, rows in whole.rows.items():
-        np.testing.assert_array_equal(ended.rows[name], rows)
+    for name in (column.of_result for column in COLUMNS.values()):
+        np.testing.assert_array_equal(getattr(ended, name), getattr(whole, name))
 
 
 def test_motions_carry_the_track_over_missing_images(

@@ -20,6 +20,7 @@ from twistcap.body import Body, Posed
 from twistcap.errors import InputError
 from twistcap.io.lock import WriteLock
 from twistcap.io.result import ResultWriter, read_result
+from twistcap.io.result_schema import COLUMNS
 
 
 def write(path: Path, count: int = 5) -> Path:
@@ -281,7 +282,7 @@ def test_some_of_the_frames(tmp_path: Path) -> None:
             writer.append(replace(estimate(k), part_probability=parts, left_out=(k % 2,), missing=(k % 3,)))
     whole = read_result(tmp_path / "r.h5")
     few = whole.within(2, 4)
-    assert {name: len(rows) for name, rows in few.rows.items()} == dict.fromkeys(whole.rows, 3)
+    assert {len(getattr(few, column.of_result)) for column in COLUMNS.values()} == {3}
     for mine, theirs in zip(few.estimates, whole.estimates[2:5], strict=True):
         assert (mine.index, mine.left_out, mine.missing) == (theirs.index, theirs.left_out, theirs.missing)
         np.testing.assert_array_equal(mine.part_probability, theirs.part_probability)

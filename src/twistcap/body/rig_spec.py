@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from twistcap.arrays import Float
 from twistcap.doors.strict import validated
@@ -39,19 +39,17 @@ Vector = tuple[float, float, float]
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 
 
-class Aim(BaseModel):
+class Aim(BaseModel, extra="forbid"):
     """Turn of the rest pose so that the line from the joint to joint `at` has a direction of the rest frame. "file"
     restores the joint's orientation in the file, whatever the joints above it did."""
 
-    model_config = ConfigDict(extra="forbid")
     at: str
     along: Vector | Literal["file"]
 
 
-class JointSpec(BaseModel):
+class JointSpec(BaseModel, extra="forbid"):
     """One joint of the TOML; see the module's head."""
 
-    model_config = ConfigDict(extra="forbid")
     kind: Literal["fixed", "revolute", "universal", "ball"] = "ball"
     axes: list[Vector] | None = None
     frame: Literal["rest", "joint"] = "rest"
@@ -61,20 +59,18 @@ class JointSpec(BaseModel):
     aim: Aim | None = None
 
 
-class LandmarkSpec(BaseModel):
+class LandmarkSpec(BaseModel, extra="forbid"):
     """One landmark of the TOML; see the module's head."""
 
-    model_config = ConfigDict(extra="forbid")
     joint: str
     at: Vector | None = None
     point: str | None = None
     vertices: list[int] | None = None
 
 
-class RigSpec(BaseModel):
+class RigSpec(BaseModel, extra="forbid"):
     """The TOML beside a skinned mesh; see the module's head."""
 
-    model_config = ConfigDict(extra="forbid")
     root: str | None = None
     up: Literal["y", "z"] = "y"
     forward: Axis | None = None

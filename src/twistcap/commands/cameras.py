@@ -42,9 +42,7 @@ def mend_cameras(path: Path, out: Path, session: Any, names: Sequence[str] = ())
     suspected = _suspected(result, session, path)
     wrong = _wrong(result, names, suspected, path)
     given = read_rig(session.cameras.calibration, session.cameras.unit, floor=None)
-    goal = (terminal.output_folder(out) / "Calib.toml").resolve()
-    if goal == Path(session.cameras.calibration).resolve():
-        raise InputError(f"{goal} is the session's own calibration, which is never replaced; give another --out.")
+    goal = terminal.new_calibration(out, Path(session.cameras.calibration))
     rows, mended = _each_mended(result, session, wrong, suspected)
     if not names and (one := _one_instead(result, session, rows, suspected)) is not None:
         wrong, rows, mended = one

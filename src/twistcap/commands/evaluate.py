@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
 from twistcap.commands import terminal
+from twistcap.commands.terminal import number
 from twistcap.errors import check_choice
 
 if TYPE_CHECKING:
@@ -68,8 +68,8 @@ def evaluate(
 def _show_agreements(found: list[Agreement]) -> None:
     columns = ["angles, deg", "bias", "lower", "upper", "RMSE", "less\nbias", "r", "CMC"]
     rows = [
-        [a.name, _n(a.bias), _n(a.lower), _n(a.upper), _n(a.rmse), _n(a.rmse_offset_removed),
-         _n(a.correlation, 3), _n(a.cmc, 3)]
+        [a.name, number(a.bias), number(a.lower), number(a.upper), number(a.rmse), number(a.rmse_offset_removed),
+         number(a.correlation, ".3f"), number(a.cmc, ".3f")]
         for a in found
     ]  # fmt: skip
     terminal.show_table("Result less reference: bias, limits of agreement (±1.96 SD), …", columns, rows, columns[:1])
@@ -77,9 +77,5 @@ def _show_agreements(found: list[Agreement]) -> None:
 
 def _show_distances(found: list[Distance]) -> None:
     columns = ["joints, mm", "mean", "RMSE", "p95", "mean, offset removed"]
-    rows = [[d.name, _n(d.mean, 1), _n(d.rmse, 1), _n(d.p95, 1), _n(d.offset_removed, 1)] for d in found]
+    rows = [[d.name, *(number(x, ".1f") for x in (d.mean, d.rmse, d.p95, d.offset_removed))] for d in found]
     terminal.show_table("Distances", columns, rows, columns[:1])
-
-
-def _n(value: float, digits: int = 2) -> str:
-    return f"{value:.{digits}f}" if isfinite(value) else "–"

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import isfinite, nan
+from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
 from twistcap.commands import terminal
+from twistcap.commands.terminal import number
 
 if TYPE_CHECKING:
     from twistcap.commands.gait_files import Measured
@@ -117,13 +118,10 @@ def _show(title: str, measures: Mapping[str, Mapping[str, Measure]]) -> None:
     uneven = symmetry(measures)
     rows = list[list[str]]()
     for name, m in measures["both"].items():
-        sides = [_n(measures[side][name].mean, ".3g") for side in ("r", "l")]
-        both = f"{_n(m.mean, '.3g')} ± {_n(m.deviation, '.2g')}"
-        rows.append([f"{name}, {UNITS[name]}", *sides, both, _n(m.sigma, ".1g"), _n(uneven.get(name, nan), ".1f")])
+        sides = [number(measures[side][name].mean, ".3g") for side in ("r", "l")]
+        both = f"{number(m.mean, '.3g')} ± {number(m.deviation, '.2g')}"
+        last = number(m.sigma, ".1g"), number(uneven.get(name, nan), ".1f")
+        rows.append([f"{name}, {UNITS[name]}", *sides, both, *last])
     counts = " and ".join(str(measures[side]["stride time"].count) for side in ("r", "l"))
     columns = ["", "right", "left", "both ± SD", "σ", "r − l, %"]
     terminal.show_table(f"{title}: {counts} strides right and left", columns, rows)
-
-
-def _n(value: float, form: str) -> str:
-    return format(value, form) if isfinite(value) else "–"

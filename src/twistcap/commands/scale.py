@@ -31,9 +31,7 @@ def scaled_cameras(path: Path, out: Path, session: Any, stature: float) -> dict[
         raise InputError(f"{path}: its body has the height of [body], {own:.2f} m, as images did not fit it; {mend}.")
     rig = read_rig(source, session.cameras.unit, floor=None)
     _check_same(rig, result.rig, source, path)
-    goal = (terminal.output_folder(out) / "Calib.toml").resolve()
-    if goal == source.resolve():
-        raise InputError(f"{goal} is the session's own calibration, which is never replaced; give another --out.")
+    goal = terminal.new_calibration(out, source)
     factor = stature / fitted
     write_rig(scaled(rig, factor), goal, session.cameras.unit or "m", knows_floor(source))
     return {

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from twistcap.commands.terminal import say, words
+from twistcap.commands.terminal import number, say, words
 from twistcap.io.start_report import StartReport
 
 _SAME = 0.005  # a length factor that differs less is not shown
@@ -24,8 +23,8 @@ def show_start(report: StartReport | None) -> None:
     for name in report.cameras:
         table.add_column(name, justify="right")
     for joint, residual in report.worst():
-        table.add_row(joint, *map(_pixels, residual))
-    table.add_row(f"median of {len(report.names)}", *map(_pixels, report.medians), style="bold")
+        table.add_row(joint, *(number(px, ".1f") for px in residual))
+    table.add_row(f"median of {len(report.names)}", *(number(px, ".1f") for px in report.medians), style="bold")
     words.print(table)
     for sentence in (*sizes_in_words(report), *report.warnings):
         say(sentence)
@@ -49,7 +48,3 @@ def start_document(report: StartReport | None) -> dict[str, Any] | None:
         "worst_px": {joint: dict(zip(report.cameras, px, strict=True)) for joint, px in report.worst()},
         "stature_m": report.stature, "stated_m": report.stated, "lengths": report.lengths, "warnings": report.warnings,
     }  # fmt: skip
-
-
-def _pixels(value: Any) -> str:
-    return f"{value:.1f}" if np.isfinite(value) else "–"

@@ -138,6 +138,19 @@ def show_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
     Console(highlight=False).print(table)
 
 
+def number(value: float, form: str = ".2f") -> str:
+    """A number in a table; a dash where there is none."""
+    return format(value, form) if math.isfinite(value) else "–"
+
+
+def new_calibration(out: Path, own: Path) -> Path:
+    """The file for a calibration in a folder. Raises InputError where the session's own is there."""
+    goal = (output_folder(out) / "Calib.toml").resolve()
+    if goal == own.resolve():
+        raise InputError(f"{goal} is the session's own calibration, which is never replaced; give another --out.")
+    return goal
+
+
 def output_folder(path: str | Path) -> Path:
     """The folder, created if it does not exist; at the end of a run it goes again if it is empty.
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from twistcap import se3
+from twistcap.adjust.first_pose.triangulate import rigid_fit
 from twistcap.arrays import Float
 from twistcap.errors import InputError, check
 from twistcap.evaluate import metrics
@@ -107,16 +108,13 @@ def _speeds(times: Float, points: Float) -> Float:
 
 
 def world_motion(ours: Float, theirs: Float) -> tuple[Float, Float]:
-    """Rotation (3, 3) and shift (3,) m that bring their points (N, P, 3) nearest to ours, by least squares.
-
-    Kabsch 1976, DOI 10.1107/S0567739476001873. Raises InputError for fewer than three known points.
+    """Rotation (3, 3) and shift (3,) m that bring their points (N, P, 3) nearest to ours, by least squares. Raises
+    InputError for fewer than three known points.
     """
     both = np.isfinite(ours).all(axis=2) & np.isfinite(theirs).all(axis=2)
     check("alignment", both.sum() >= 3, "fewer than three points of the reference are known; leave out --register")
-    a, b = theirs[both], ours[both]
-    U, _, Vt = np.linalg.svd((a - a.mean(axis=0)).T @ (b - b.mean(axis=0)))
-    R = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
-    return R, b.mean(axis=0) - R @ a.mean(axis=0)
+    motion = rigid_fit(theirs[both], ours[both], np.ones(both.sum()))
+    return motion[:3, :3], motion[:3, 3]
 
 
 def better_axes(ours: Float, theirs: Float, axes: WorldAxes) -> str:

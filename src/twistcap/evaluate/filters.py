@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from scipy.signal import welch
 
-from twistcap.adjust.refine.problem import accelerations
+from twistcap.adjust.sequence import accelerations
 from twistcap.arrays import Bool, Float, even_clock, runs
 from twistcap.body import Body, Pose
 from twistcap.errors import InputError, check_choice

@@ -6,7 +6,7 @@ joint per segment, rotations Z Y X.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from twistcap.errors import InputError, check, naming
 from twistcap.io.angles import decomposed
 from twistcap.io.files import write_lines
 from twistcap.io.markers import TO_FILE
-from twistcap.motion.skeleton import SkeletonMotion
+from twistcap.motion.skeleton import SkeletonMotion, rest_positions
 
 _TO_FILE = TO_FILE["pose2sim"]  # our (x, y, z) -> (y, z, x)
 _ZYX = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
@@ -50,7 +50,7 @@ def read_bvh(path: Path | str) -> SkeletonMotion:
     places, turns = bvh.to_rotmat()
     moving = np.asarray(tree.joint_idx)
     local = np.where(moving[:, None, None] >= 0, turns[:, moving], np.eye(3))
-    unit = _unit(path, _rest(offsets, tree.parent_idx))
+    unit = _unit(path, rest_positions(offsets, tree.parent_idx))
     up = "z" if str(bvh.rest_up).endswith("z") else "y"
     # The root's own offset is not added to its channels, as in Blender and pybvh.
     with naming(path):
@@ -67,13 +67,6 @@ def _names(bvh: Any, tree: Any) -> list[str]:
     return names
 
 
-def _rest(offsets: Float, parents: Any) -> Float:
-    out = offsets.copy()
-    for s in range(1, len(out)):
-        out[s] += out[parents[s]]
-    return out
-
-
 def _unit(path: Path, rest: Float) -> float:
     size = float(np.ptp(rest, axis=0).max())
     check(str(path), np.isfinite(size) and size > 0, "its joints have no distances between them")
@@ -88,15 +81,13 @@ def write_bvh(path: Path | str, body: Body, poses: Sequence[Pose], fps: float) -
     several root segments, or if the file cannot be written.
     """
     path = Path(path)
-    check(str(path), fps > 0, f"the frame rate is {fps}; it must be positive")
     with naming(path):
         joints = joints_of(body)
-    lines = ["HIERARCHY", *_hierarchy(body, joints, 0, 0), "MOTION"]
-    lines += [f"Frames: {len(poses)}", f"Frame Time: {1.0 / fps:.8f}"]
+    heads = np.array([joint.origin for joint in joints]) @ _TO_FILE.T
+    names, parents = [joint.name for joint in joints], [joint.parent for joint in joints]
+    lines, order = _hierarchy(names, parents, heads, lambda n: _TO_FILE @ _bone_of(body, joints[n]))
     place, turns = _channels(body, joints, poses)
-    order = _depth_first(joints, 0)
-    rows = np.hstack([place, np.degrees(turns[:, order]).reshape(len(poses), -1)])
-    write_lines(path, [*lines, *(" ".join(f"{v:.6f}" for v in row) for row in rows)])
+    _write(path, lines, np.hstack([place, np.degrees(turns[:, order]).reshape(len(poses), -1)]), fps)
 
 
 def write_bone_bvh(path: Path | str, motion: BoneMotion, fps: float) -> None:
@@ -105,74 +96,61 @@ def write_bone_bvh(path: Path | str, motion: BoneMotion, fps: float) -> None:
     Joints above the root are left out. Raises InputError for a frame rate (1/s) that is not positive, or if the file
     cannot be written.
     """
+    mesh, heads, rest, root = motion.rigged.mesh, motion.bind[:, :3, 3], motion.bind[:, :3, :3], motion.rest.root
+    parents = [-1 if b == root else int(above) for b, above in enumerate(mesh.parents)]
+    names = [name.replace(" ", "_") for name in mesh.joints]
+    lines, order = _hierarchy(names, parents, heads, lambda b: 0.2 * (heads[b] - heads[parents[b]]), root)
+    world = motion.turns @ rest.swapaxes(1, 2)  # from the file's rest pose
+    local = [world[:, b] if b == root else world[:, parents[b]].swapaxes(1, 2) @ world[:, b] for b in order]
+    turns = [np.degrees(decomposed(each, _ZYX, np.zeros(3))) for each in local]
+    _write(Path(path), lines, np.hstack([motion.places, *turns]), fps)
+
+
+def _write(path: Path, hierarchy: list[str], rows: Float, fps: float) -> None:
     check(str(path), fps > 0, f"the frame rate is {fps}; it must be positive")
-    mesh, heads, rest = motion.rigged.mesh, motion.bind[:, :3, 3], motion.bind[:, :3, :3]
+    head = ["HIERARCHY", *hierarchy, "MOTION", f"Frames: {len(rows)}", f"Frame Time: {1.0 / fps:.8f}"]
+    write_lines(path, [*head, *(" ".join(f"{v:.6f}" for v in row) for row in rows)])
+
+
+def _hierarchy(
+    names: Sequence[str], parents: Sequence[int], heads: Float, end: Callable[[int], Float], root: int = 0
+) -> tuple[list[str], list[int]]:
+    """The lines of the joints below a root, and their order, which is that of the channels.
+
+    All in the file's axes: `heads` (J, 3) is where the joints are, and `end` (3,) how far from there the bone of one
+    without children goes.
+    """
     order = list[int]()
 
-    def lines(b: int, depth: int) -> list[str]:
-        order.append(b)
-        tab, head = "\t" * depth, "ROOT" if depth == 0 else "JOINT"
-        start = heads[mesh.parents[b]] if depth else heads[b]
-        below = [n for n in range(len(heads)) if mesh.parents[n] == b]
-        places = "6 Xposition Yposition Zposition" if depth == 0 else "3"
-        out = [f"{tab}{head} {mesh.joints[b].replace(' ', '_')}", f"{tab}{{", _offset_line(heads[b] - start, depth + 1)]
+    def lines(n: int, depth: int) -> list[str]:
+        order.append(n)
+        tab, start = "\t" * depth, heads[parents[n]] if depth else heads[n]  # the root's place is in its channels
+        head, places = ("JOINT", "3") if depth else ("ROOT", "6 Xposition Yposition Zposition")
+        out = [f"{tab}{head} {names[n]}", f"{tab}{{", _offset(heads[n] - start, depth + 1)]
         out.append(f"{tab}\tCHANNELS {places} Zrotation Yrotation Xrotation")
-        for n in below:
-            out += lines(n, depth + 1)
-        if not below:  # along the bone of its parent, a fifth as long
-            out += [f"{tab}\tEnd Site", f"{tab}\t{{", _offset_line(0.2 * (heads[b] - start), depth + 2), f"{tab}\t}}"]
+        below = [m for m, above in enumerate(parents) if above == n]
+        for m in below:
+            out += lines(m, depth + 1)
+        if not below:
+            out += [f"{tab}\tEnd Site", f"{tab}\t{{", _offset(end(n), depth + 2), f"{tab}\t}}"]
         return [*out, f"{tab}}}"]
 
-    tree = ["HIERARCHY", *lines(motion.rest.root, 0), "MOTION", f"Frames: {len(motion.places)}"]
-    world = motion.turns @ rest.swapaxes(1, 2)  # from the file's rest pose
-    local = {b: world[:, mesh.parents[b]].swapaxes(1, 2) @ world[:, b] for b in order[1:]} | {
-        order[0]: world[:, order[0]]
-    }
-    turns = [np.degrees(decomposed(local[b], _ZYX, np.zeros(3))) for b in order]
-    rows = np.hstack([motion.places, *turns])
-    text = [*tree, f"Frame Time: {1.0 / fps:.8f}", *(" ".join(f"{v:.6f}" for v in row) for row in rows)]
-    write_lines(Path(path), text)
-
-
-def _hierarchy(body: Body, joints: list[Joint], number: int, depth: int) -> list[str]:
-    joint, tab = joints[number], "\t" * depth
-    start = joints[joint.parent].origin if joint.parent >= 0 else joint.origin  # the root's place is in its channels
-    head = "ROOT" if joint.parent < 0 else "JOINT"
-    places = "6 Xposition Yposition Zposition" if joint.parent < 0 else "3"
-    lines = [f"{tab}{head} {joint.name}", f"{tab}{{", _offset(joint.origin - start, depth + 1)]
-    lines.append(f"{tab}\tCHANNELS {places} Zrotation Yrotation Xrotation")
-    below = [n for n, other in enumerate(joints) if other.parent == number]
-    for n in below:
-        lines += _hierarchy(body, joints, n, depth + 1)
-    if not below:
-        end = _offset(_tip(body, joint) - joint.origin, depth + 2)
-        lines += [f"{tab}\tEnd Site", f"{tab}\t{{", end, f"{tab}\t}}"]
-    return [*lines, f"{tab}}}"]
+    return lines(root, 0), order
 
 
 def _offset(vector: Float, depth: int) -> str:
-    return _offset_line(_TO_FILE @ vector, depth)
-
-
-def _offset_line(vector: Float, depth: int) -> str:
     return "\t" * depth + "OFFSET " + " ".join(f"{v:.8f}" for v in vector)
 
 
-def _tip(body: Body, joint: Joint) -> Float:
-    """Where a last segment ends: its farthest landmark, or else its farthest vertex."""
+def _bone_of(body: Body, joint: Joint) -> Float:
+    """From the joint of a last segment to where that ends: its farthest landmark, or else its farthest vertex."""
     segment = body.segment(joint.name)
     points = body.landmarks.points[body.landmarks.segments == segment]
     away = np.linalg.norm(points - joint.origin, axis=1)
     if not len(points) or away.max() < 0.01:
         points = np.concatenate([body.vertices[body.vertex_part == segment], joint.origin[None]])
         away = np.linalg.norm(points - joint.origin, axis=1)
-    return points[np.argmax(away)]
-
-
-def _depth_first(joints: list[Joint], number: int) -> list[int]:
-    """Joints in the order of the hierarchy, which is that of the channels."""
-    below = [n for n, other in enumerate(joints) if other.parent == number]
-    return [number] + [m for n in below for m in _depth_first(joints, n)]
+    return points[np.argmax(away)] - joint.origin
 
 
 def _channels(body: Body, joints: list[Joint], poses: Sequence[Pose]) -> tuple[Float, Float]:

@@ -103,19 +103,11 @@ def _camera(where: str, key: str, table: Mapping[str, Any], scale: float) -> Cam
     size = _numbers(where, table, "size", (2,))
     K = _numbers(where, table, "matrix", (3, 3))
     dist = _numbers(where, table, "distortions", (None,)) if "distortions" in table else np.zeros(5)
-    if np.any(dist[4 if fisheye else 5 :]):
-        most = "at most " + ("four (k1 to k4) of a fisheye lens" if fisheye else "five (k1, k2, p1, p2, k3)")
-        most += " are supported"
-        raise InputError(f"{where}: distortions has {dist.size} numbers; {most}.")
-    dist = np.concatenate([dist, np.zeros(5)])[:5]
-    R = _rotation(where, table)
+    R = _numbers(where, table, "rotation", (3, 3) if np.size(table.get("rotation", ())) == 9 else (3,))
     t = _numbers(where, table, "translation", (3,)) * scale
     if np.any(size < 1) or not np.allclose(size, np.round(size)):
         raise InputError(f"{where}: 'size' is {size.tolist()}; it must be [width, height] in whole pixels.")
-    name = str(table.get("name", key))
-    camera = Camera(name, K, se3.transform(R, t), (round(size[0]), round(size[1])), dist, fisheye)
-    check_camera(where, camera)
-    return camera
+    return made(where, str(table.get("name", key)), K, (R, t), (round(size[0]), round(size[1])), dist, fisheye)
 
 
 def _numbers(where: str, table: Mapping[str, Any], field: str, shape: tuple[int | None, ...]) -> Float:
@@ -126,16 +118,29 @@ def _numbers(where: str, table: Mapping[str, Any], field: str, shape: tuple[int 
     return number_array(value, shape, f"{where}: the field '{field}'")
 
 
-def _rotation(where: str, table: Mapping[str, Any]) -> Float:
-    matrix = np.size(table.get("rotation", ())) == 9
-    given = _numbers(where, table, "rotation", (3, 3) if matrix else (3,))
-    if not matrix:
-        return np.asarray(cv2.Rodrigues(given)[0], dtype=float)
-    if np.linalg.det(given) < 0:
-        raise InputError(f"{where}: the field 'rotation' is mirrored (determinant below 0); flip one axis of it.")
-    if not np.allclose(given @ given.T, np.eye(3), atol=1e-3):
-        raise InputError(f"{where}: the field 'rotation' is no rotation; its rows must be orthonormal.")
-    return se3.orthonormalised(se3.transform(given, np.zeros(3)))[:3, :3]
+def made(
+    where: str, name: str, K: Float, place: tuple[Float, Float], size: tuple[int, int], dist: Float,
+    fisheye: bool = False,
+) -> Camera:  # fmt: skip
+    """A camera of an intrinsic matrix, its place (rotation (3, 3) or Rodrigues' vector (3,); translation (3,), m; world
+    to camera), and distortion coefficients. Raises InputError, which `where` begins, for what no camera has.
+    """
+    if np.any(dist[4 if fisheye else 5 :]):
+        most = "four (k1 to k4) of a fisheye lens" if fisheye else "five (k1, k2, p1, p2, k3)"
+        raise InputError(f"{where}: it has {dist.size} distortion coefficients; at most {most} are supported.")
+    R, t = place
+    out = Camera(name, K, se3.transform(_rotation(where, R), t), size, np.concatenate([dist, np.zeros(5)])[:5], fisheye)
+    check_camera(where, out)
+    return out
+
+
+def _rotation(where: str, R: Float) -> Float:
+    """(3, 3) of a matrix that is nearly a rotation, or of Rodrigues' vector."""
+    if R.size == 3:
+        return np.asarray(cv2.Rodrigues(R.reshape(3))[0], dtype=float)
+    check(where, np.linalg.det(R) >= 0, "its rotation is mirrored (determinant below 0); flip one axis of it")
+    check(where, np.allclose(R @ R.T, np.eye(3), atol=1e-3), "its rotation is no rotation; rows must be orthonormal")
+    return se3.orthonormalised(se3.transform(R, np.zeros(3)))[:3, :3]
 
 
 def check_camera(where: str, camera: Camera) -> None:

@@ -16,13 +16,11 @@ from twistcap.io.cameras.axes import Up, axis_up, check_z_up
 from twistcap.io.cameras.units import toml_unit
 from twistcap.io.files import pasted
 from twistcap.io.model_file import is_address, is_model_file
+from twistcap.io.sources import IMAGE_ENDINGS
 from twistcap.io.video import Source, check_size, is_there, open_source
 
 VIDEO_ENDINGS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts"}
-_IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 _ENDS = 3  # frames at both ends of a video that are decoded before all is said to be well
-
-
 _POSE_LINES = (
     "\n[first_pose]",
     "# Where nothing is given, it is found in the images, unless first_pose.json lies here:",
@@ -168,7 +166,7 @@ def recordings(text: str) -> list[tuple[str | None, str]]:
 
 
 def _has_images(folder: Path) -> bool:
-    return any(path.suffix.lower() in _IMAGES for path in folder.iterdir())
+    return any(path.suffix.lower() in IMAGE_ENDINGS for path in folder.iterdir())
 
 
 def _in_folder(path: Path) -> list[str]:

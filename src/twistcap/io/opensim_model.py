@@ -7,7 +7,7 @@ those of water in each segment's hull, together in the whole surface: a start fo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -35,10 +35,8 @@ def opensim_model(body: Body, marks: Landmarks, axes: WorldAxes = "opensim") -> 
     joints = joints_of(body)
     origins = _origins(body, joints)
     model = ET.Element("Model", name=body.name)
-    _text(model, "credits", "Made by twistcap of a tracked body.")
-    _text(model, "length_units", "meters")
-    _text(model, "force_units", "N")
-    _text(model, "gravity", _numbers(TO_FILE[axes] @ _GRAVITY))
+    units = {"length_units": "meters", "force_units": "N", "gravity": _numbers(TO_FILE[axes] @ _GRAVITY)}
+    add_texts(model, {"credits": "Made by twistcap of a tracked body.", **units})
     bodies, joined = _set(model, "BodySet", "bodyset"), _set(model, "JointSet", "jointset")
     masses = _masses(body, joints, origins)
     for n, joint in enumerate(joints):
@@ -57,9 +55,8 @@ def marker_set(body: Body, marks: Landmarks) -> ET.Element:
     for name, segment, point in zip(marks.names, marks.segments, marks.points, strict=True):
         owner = body.segment_names[segment]
         marker = ET.SubElement(objects, "Marker", name=name)
-        _text(marker, "socket_parent_frame", f"/bodyset/{owner}")
-        _text(marker, "location", _numbers(convert.REST_TO_OPENSIM @ (point - origins[owner])))
-        _text(marker, "fixed", "true")
+        place = _numbers(convert.REST_TO_OPENSIM @ (point - origins[owner]))
+        add_texts(marker, {"socket_parent_frame": f"/bodyset/{owner}", "location": place, "fixed": "true"})
     return out
 
 
@@ -87,12 +84,10 @@ def _body(joint: Joint, mass: tuple[float, Float, Float], whole: bool) -> ET.Ele
     out = ET.Element("Body", name=joint.name)
     if whole:
         mesh = ET.SubElement(ET.SubElement(out, "attached_geometry"), "Mesh", name=f"{joint.name}_surface")
-        _text(mesh, "socket_frame", "..")
-        _text(mesh, "mesh_file", f"{joint.name}.obj")
+        add_texts(mesh, {"socket_frame": "..", "mesh_file": f"{joint.name}.obj"})
     kilogram, centre, inertia = mass
-    _text(out, "mass", _numbers([kilogram]))
-    _text(out, "mass_center", _numbers(centre))
-    _text(out, "inertia", _numbers([*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]))
+    six = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+    add_texts(out, {"mass": _numbers([kilogram]), "mass_center": _numbers(centre), "inertia": _numbers(six)})
     return out
 
 
@@ -138,21 +133,16 @@ def _root_joint(joint: Joint) -> ET.Element:
 
 
 def _frames(joint: ET.Element, above: str, below: str, parent: str, at: Float) -> None:
-    _text(joint, "socket_parent_frame", f"{above}_offset")
-    _text(joint, "socket_child_frame", f"{below}_origin")
+    add_texts(joint, {"socket_parent_frame": f"{above}_offset", "socket_child_frame": f"{below}_origin"})
     frames = ET.SubElement(joint, "frames")
     for name, owner, place in ((f"{above}_offset", parent, at), (f"{below}_origin", f"/bodyset/{below}", np.zeros(3))):
         frame = ET.SubElement(frames, "PhysicalOffsetFrame", name=name)
-        _text(frame, "socket_parent", owner)
-        _text(frame, "translation", _numbers(place))
-        _text(frame, "orientation", "0 0 0")
+        add_texts(frame, {"socket_parent": owner, "translation": _numbers(place), "orientation": "0 0 0"})
 
 
 def _coordinate(parent: ET.Element, name: str, default: float, low: float, high: float) -> None:
     out = ET.SubElement(parent, "Coordinate", name=name)
-    _text(out, "default_value", _numbers([default]))
-    _text(out, "range", _numbers([low, high]))
-    _text(out, "clamped", "false")
+    add_texts(out, {"default_value": _numbers([default]), "range": _numbers([low, high]), "clamped": "false"})
 
 
 def _spatial(joint: ET.Element, turning: Sequence[tuple[str, Float, float]], moving: Sequence[str]) -> None:
@@ -177,12 +167,10 @@ def _three(axes: Sequence[Float]) -> list[Float]:
 
 def _transform_axis(parent: ET.Element, name: str, coordinate: str, axis: Float, start: float) -> None:
     out = ET.SubElement(parent, "TransformAxis", name=name)
-    _text(out, "coordinates", coordinate)
-    _text(out, "axis", _numbers(axis))
-    if coordinate:
-        _text(ET.SubElement(out, "LinearFunction", name="function"), "coefficients", _numbers([1.0, start]))
-    else:
-        _text(ET.SubElement(out, "Constant", name="function"), "value", "0")
+    add_texts(out, {"coordinates": coordinate, "axis": _numbers(axis)})
+    moving = ("LinearFunction", {"coefficients": _numbers([1.0, start])})
+    kind, texts = moving if coordinate else ("Constant", {"value": "0"})
+    add_texts(ET.SubElement(out, kind, name="function"), texts)
 
 
 def _masses(body: Body, joints: Sequence[Joint], origins: Sequence[Float]) -> list[tuple[float, Float, Float]]:
@@ -235,8 +223,10 @@ def document(child: ET.Element) -> ET.Element:
     return out
 
 
-def _text(parent: ET.Element, tag: str, text: str) -> None:
-    ET.SubElement(parent, tag).text = text
+def add_texts(parent: ET.Element, texts: Mapping[str, str]) -> None:
+    """An element for each text, by tag."""
+    for tag, text in texts.items():
+        ET.SubElement(parent, tag).text = text
 
 
 def _numbers(values: Sequence[float] | Float) -> str:

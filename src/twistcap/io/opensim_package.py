@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -15,7 +15,7 @@ from twistcap.errors import check
 from twistcap.io.files import write_lines
 from twistcap.io.markers import WorldAxes, write_trc
 from twistcap.io.motion_files import LOST_THROUGHOUT, write_mot
-from twistcap.io.opensim_model import document, marker_set, meshes, opensim_model
+from twistcap.io.opensim_model import add_texts, document, marker_set, meshes, opensim_model
 from twistcap.io.result import Result
 
 _CENTRES = {"hip": "HJC", "knee": "KJC", "ankle": "AJC", "shoulder": "SJC", "elbow": "EJC", "wrist": "WJC"}
@@ -90,10 +90,10 @@ def _moved(body: Body, marks: Landmarks, poses: Sequence[Pose]) -> Float:
 
 def _inverse_kinematics(names: Sequence[str], times: Float) -> ET.Element:
     tool = ET.Element("InverseKinematicsTool", name="twistcap")
-    _entries(tool, {"model_file": "model.osim", "constraint_weight": "Inf", "accuracy": "1e-07"})
+    add_texts(tool, {"model_file": "model.osim", "constraint_weight": "Inf", "accuracy": "1e-07"})
     _tasks(tool, names)
     files = {"marker_file": "markers.trc", "coordinate_file": "", "output_motion_file": "ik.mot"}
-    _entries(tool, {**files, "time_range": _span(times), "report_errors": "true", "results_directory": "."})
+    add_texts(tool, {**files, "time_range": _span(times), "report_errors": "true", "results_directory": "."})
     return document(tool)
 
 
@@ -104,16 +104,16 @@ def _span(times: Float) -> str:
 def _tasks(parent: ET.Element, names: Sequence[str]) -> None:
     tasks = ET.SubElement(ET.SubElement(parent, "IKTaskSet"), "objects")
     for name in names:
-        _entries(ET.SubElement(tasks, "IKMarkerTask", name=name), {"apply": "true", "weight": "1"})
+        add_texts(ET.SubElement(tasks, "IKMarkerTask", name=name), {"apply": "true", "weight": "1"})
 
 
 def _scaling(known: set[str]) -> ET.Element:
     """Scaling of a generic model by the distances of markers; its own markers are not moved."""
     tool = ET.Element("ScaleTool", name="twistcap")
     maker = ET.SubElement(tool, "GenericModelMaker")
-    _entries(maker, {"model_file": "generic.osim", "marker_set_file": "Unassigned"})
+    add_texts(maker, {"model_file": "generic.osim", "marker_set_file": "Unassigned"})
     scaler = ET.SubElement(tool, "ModelScaler")
-    _entries(scaler, {"apply": "true", "scaling_order": "measurements"})
+    add_texts(scaler, {"apply": "true", "scaling_order": "measurements"})
     measured = ET.SubElement(ET.SubElement(scaler, "MeasurementSet"), "objects")
     for name, axes, bodies, pairs in _MEASURES:
         for side in ("",) if pairs[0][0] in known else ("R", "L"):
@@ -122,25 +122,20 @@ def _scaling(known: set[str]) -> ET.Element:
             if sided:
                 measured.append(_measurement(f"{name}_{side.lower()}" if side else name, axes, owners, sided))
     files = {"marker_file": "static.trc", "output_model_file": "generic_scaled.osim"}
-    _entries(scaler, {**files, "time_range": _span(_STATIC), "preserve_mass_distribution": "true"})
+    add_texts(scaler, {**files, "time_range": _span(_STATIC), "preserve_mass_distribution": "true"})
     return document(tool)
 
 
 def _measurement(name: str, axes: str, bodies: Sequence[str], pairs: Sequence[tuple[str, str]]) -> ET.Element:
     out = ET.Element("Measurement", name=name)
-    _entries(out, {"apply": "true"})
+    add_texts(out, {"apply": "true"})
     of_pairs = ET.SubElement(ET.SubElement(out, "MarkerPairSet"), "objects")
     for pair in pairs:
-        _entries(ET.SubElement(of_pairs, "MarkerPair"), {"markers": " ".join(pair)})
+        add_texts(ET.SubElement(of_pairs, "MarkerPair"), {"markers": " ".join(pair)})
     of_bodies = ET.SubElement(ET.SubElement(out, "BodyScaleSet"), "objects")
     for body in bodies:
-        _entries(ET.SubElement(of_bodies, "BodyScale", name=body), {"axes": " ".join(axes)})
+        add_texts(ET.SubElement(of_bodies, "BodyScale", name=body), {"axes": " ".join(axes)})
     return out
-
-
-def _entries(parent: ET.Element, texts: Mapping[str, str]) -> None:
-    for tag, text in texts.items():
-        ET.SubElement(parent, tag).text = text
 
 
 def _write_xml(path: Path, whole: ET.Element) -> None:

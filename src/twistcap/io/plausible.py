@@ -18,8 +18,7 @@ from twistcap.errors import InputError, check
 
 _NEAREST, _FARTHEST = 0.05, 100.0  # plausible distances between two cameras, m
 _UNDERGROUND = 0.3  # m below the floor that no joint of a person and not every camera can be
-_HIGH = ("head_top", "nose", "neck")
-_LOW = ("ankle_r", "ankle_l", "heel_r", "heel_l")
+TALLER = ("head_top", "nose", "neck"), ("ankle_r", "ankle_l", "heel_r", "heel_l")  # landmarks of head and feet
 
 
 def check_plausible(
@@ -103,8 +102,7 @@ def check_upright(landmarks: Mapping[str, ArrayLike]) -> None:
     `landmarks` are world points (3,) m by name, e.g. ``nose`` and ``ankle_r``; those that are absent do not count.
     Raises InputError for a person upside down.
     """
-    high = [np.asarray(landmarks[name], float)[2] for name in _HIGH if name in landmarks]
-    low = [np.asarray(landmarks[name], float)[2] for name in _LOW if name in landmarks]
+    high, low = ([np.asarray(landmarks[name], float)[2] for name in names if name in landmarks] for names in TALLER)
     if high and low and max(high) < min(low):
         raise InputError(
             "the first pose: the person stands on the head; the calibration is mirrored or its z axis points down"

@@ -20,6 +20,7 @@ from twistcap.io.cameras.axes import Up, axis_up, up_instead_of_z, with_z_up
 from twistcap.io.cameras.units import session_unit, toml_unit, unit_of
 from twistcap.io.keypoints import LAYOUTS
 from twistcap.io.new_session import VIDEO_ENDINGS, Draft, drafted
+from twistcap.io.sources import natural
 from twistcap.io.video import open_source
 
 _POSES = ("pose-associated", "pose-sync", "pose", "pose-2d", "raw-2d")  # of Pose2Sim, the furthest worked first
@@ -246,15 +247,11 @@ def paired(names: Sequence[str], cameras: Sequence[str]) -> dict[str, str] | Non
     found = _by_name(names, cameras)
     if found is not None or len(names) != len(cameras):
         return found
-    return dict(zip(sorted(names, key=_natural), sorted(cameras, key=_natural), strict=True))
+    in_order = (sorted(those, key=lambda name: natural(name.lower())) for those in (names, cameras))
+    return dict(zip(*in_order, strict=True))
 
 
 def _by_name(names: Sequence[str], cameras: Sequence[str]) -> dict[str, str] | None:
     held = {name: [c for c in cameras if c.lower() in name.lower()] for name in names}
     found = {name: max(fitting, key=len) for name, fitting in held.items() if fitting}
     return found if len(found) == len(names) and len(set(found.values())) == len(names) else None
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    """Numbers in names count as numbers."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name.lower())]

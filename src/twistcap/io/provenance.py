@@ -36,14 +36,14 @@ def made_of(session: Session, views: Views) -> dict[str, Any]:
         "step": session.step,
         "rate": views.fps,
         "time_offset": session.time_offset,
-        **_flat("clocks", {name: clock.model_dump() for name, clock in session.clocks.items()}),
+        **flat("clocks", {name: clock.model_dump() for name, clock in session.clocks.items()}),
         "scale": session.scale,
         "body": _body_digest(body_of(session)),
         **{f"calibration of {camera.name}": _camera_digest(camera) for camera in views.rig},
         **{key: found for s, c in zip(views.sources, views.rig, strict=True) for key, found in _video(c.name, s)},
         **{name: None if table is None else _file_digest(table.path) for name, table in tables.items()},
-        **_flat("tracker", asdict(session.tracker_settings)),
-        **_flat("prior", {} if session.prior is None else session.prior.model_dump(mode="json", exclude={"path"})),
+        **flat("tracker", asdict(session.tracker_settings)),
+        **flat("prior", {} if session.prior is None else session.prior.model_dump(mode="json", exclude={"path"})),
     }
     return json.loads(json.dumps(made))  # as it will be read again
 
@@ -118,8 +118,8 @@ def _file_digest(path: str) -> str:
         raise InputError(f"{path} cannot be read ({error.strerror}); check its path.") from error
 
 
-def _flat(name: str, value: Any) -> dict[str, Any]:
-    """Numbers and words by dotted key."""
+def flat(name: str, value: Any) -> dict[str, Any]:
+    """Numbers and words by dotted key, as a command line names them, below a name."""
     if isinstance(value, Mapping):
-        return {key: found for k, v in value.items() for key, found in _flat(f"{name}.{k}", v).items()}
+        return {key: found for k, v in value.items() for key, found in flat(f"{name}.{k}".lstrip("."), v).items()}
     return {name: value}

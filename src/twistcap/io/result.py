@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from twistcap.arrays import AnyArray, Bool, Float, Int, UInt8
+from twistcap.arrays import Bool, Float, Int, UInt8
 from twistcap.body import Body, Landmarks, Pose, Posed
 from twistcap.camera import Camera, Rig
 from twistcap.doors.hdf5 import read_hdf5, trust
@@ -30,7 +30,6 @@ from twistcap.io.lock import WriteLock
 from twistcap.io.result_image import (
     BODY_ARRAYS,
     BODY_NAMES,
-    FIELDS,
     FORMAT,
     FORMAT_VERSION,
     NONE,
@@ -41,7 +40,7 @@ from twistcap.io.result_image import (
     state_row,
     value_of,
 )
-from twistcap.io.result_schema import BODY, HEAD, RIG, STATE, frames_of, of_group
+from twistcap.io.result_schema import BODY, COLUMNS, HEAD, RIG, STATE, frames_of, of_group
 from twistcap.se3 import is_motion
 
 _LEAST_ROOM = 64  # frames, where nobody has said how many will come
@@ -86,17 +85,6 @@ class Result:
             body, rig, none.astype(np.int32), none, roots, np.zeros((0, J)), covariances, {}, (), none.astype(np.int32),
             none.astype(np.bool_), none, none, parts, cameras, cameras, bumps, (), config, versions, recording,
         )  # fmt: skip
-
-    @property
-    def rows(self) -> Mapping[str, AnyArray]:
-        """N rows of each dataset of the frames, without the energies."""
-        words = {"status": np.array(self.statuses, "S16"), "predicted": np.array(self.predicted, "S20")}
-        return words | {
-            "index": self.indices, "time": self.times, "root": self.roots, "q": self.q,
-            "covariance": self.covariances, "iterations": self.iterations, "lost": self.lost, "support": self.support,
-            "probability": self.probability, "part_probability": self.part_probability,
-            "left_out": self.left_out, "missing": self.missing, "bumps": self.bumps,
-        }  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.times)
@@ -236,7 +224,7 @@ class ResultWriter:
             self._rebuild(*self._written(), self._wanted_room(), names)
         for name in self._energies:
             self._put(f"frames/energies/{name}", row, estimate.energies.get(name, np.nan))
-        for name in FIELDS:
+        for name in COLUMNS:
             shape = self._places[f"frames/{name}"].shape
             self._put(f"frames/{name}", row, value_of(estimate, name, shape))
 
@@ -329,17 +317,14 @@ def _result_of(path: str | Path, held: Mapping[str, Any]) -> Result:
     with naming(path):
         body = _body_of(of_group(held, "body", BODY, source))
         _check_frames(rows, body, len(rig["names"]))
+        columns = {column.of_result: rows[name] for name, column in COLUMNS.items()}
+        columns |= {name: tuple(columns[name].tolist()) for name in ("statuses", "predicted")}
         return Result(
             body=body, rig=Rig(tuple(_camera_of(source, rig, i) for i in range(len(rig["names"])))),
-            indices=rows["index"], times=rows["time"], roots=rows["root"], q=rows["q"], covariances=rows["covariance"],
             energies={k.removeprefix("energies/"): row for k, row in rows.items() if k.startswith("energies/")},
-            statuses=tuple(rows["status"].tolist()), iterations=rows["iterations"], lost=rows["lost"],
-            support=rows["support"], probability=rows["probability"], part_probability=rows["part_probability"],
-            left_out=rows["left_out"], missing=rows["missing"], bumps=rows["bumps"],
-            predicted=tuple(rows["predicted"].tolist()),
             config=_table_of(held, "config", source),
             versions={k.removeprefix("versions@"): str(v) for k, v in held.items() if k.startswith("versions@")},
-            recording=_table_of(held, "recording", source),
+            recording=_table_of(held, "recording", source), **columns,
         )  # fmt: skip
 
 

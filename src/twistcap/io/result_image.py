@@ -23,7 +23,7 @@ import numpy as np
 from twistcap.arrays import AnyArray, Bool, UInt8
 from twistcap.body import Body
 from twistcap.estimate import Estimate
-from twistcap.registry import NAME_BYTES
+from twistcap.io.result_schema import COLUMNS
 
 if TYPE_CHECKING:
     from twistcap.io.result import Result
@@ -33,23 +33,6 @@ FORMAT_VERSION = 7
 BODY_ARRAYS = ("parent", "twists", "limits", "segment_joint", "vertices", "faces", "skin_segments", "skin_weights")
 BODY_NAMES = ("coordinate_names", "segment_names")
 RIG_ARRAYS = ("K", "T_cam_world", "size", "dist")
-FIELDS: Mapping[str, tuple[str, Any]] = {  # datasets of the frames: attribute of an estimate, type
-    "time": ("time", "f8"),
-    "root": ("pose.root", "f8"),
-    "q": ("pose.q", "f8"),
-    "covariance": ("covariance", "f8"),
-    "status": ("status", h5py.string_dtype("ascii", 16)),
-    "iterations": ("iterations", "i4"),
-    "lost": ("lost", "bool"),
-    "support": ("support", "f8"),
-    "probability": ("probability", "f8"),
-    "part_probability": ("part_probability", "f4"),
-    "left_out": ("left_out", "bool"),
-    "missing": ("missing", "bool"),
-    "bumps": ("bumps", "f8"),
-    "predicted": ("predicted", h5py.string_dtype("ascii", NAME_BYTES)),
-    "index": ("index", "i8"),  # the last one to be written: it says that the frame is whole
-}
 CAMERAS = ("left_out", "missing")
 """Datasets that say of each camera whether an estimate names it."""
 SLOTS = ("0", "1")
@@ -83,7 +66,7 @@ class Place:
 
 def value_of(estimate: Estimate, name: str, shape: tuple[int, ...]) -> Any:
     """What a row of that shape holds of an estimate; NaN for what is not known."""
-    value = attrgetter(FIELDS[name][0])(estimate)
+    value = attrgetter(COLUMNS[name].of_estimate)(estimate)
     if name in CAMERAS:
         return np.isin(np.arange(shape[0]), value)
     if value is None:
@@ -178,15 +161,14 @@ def _write_strings(group: h5py.Group, name: str, values: tuple[str, ...]) -> Non
 
 
 def _write_frames(group: h5py.Group, result: Result, capacity: int, energies: Sequence[str]) -> dict[str, Place]:
-    rows, n = result.rows, len(result)
     places: dict[str, Place] = {}
-    for name, (_, dtype) in FIELDS.items():
-        held = rows[name]
+    for name, column in COLUMNS.items():
+        held = np.asarray(getattr(result, column.of_result), column.stored)
         fill = NONE if name == "index" else None
-        places[f"frames/{name}"] = _fixed(group, name, (capacity, *held.shape[1:]), dtype, held, fill)
+        places[f"frames/{name}"] = _fixed(group, name, (capacity, *held.shape[1:]), column.stored, held, fill)
     terms = group.create_group("energies")
     for name in energies:
-        held = result.energies.get(name, np.full(n, np.nan))
+        held = result.energies.get(name, np.full(len(result), np.nan))
         places[f"frames/energies/{name}"] = _fixed(terms, name, (capacity,), "f8", held, np.nan)
     return places
 

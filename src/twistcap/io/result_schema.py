@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from h5py import string_dtype
 
 from twistcap.arrays import AnyArray
 from twistcap.doors.schema import Entry, Schema, checked, flag, real, whole, word
+from twistcap.registry import NAME_BYTES
 
 _ANY = {"least": -1e300, "most": 1e300, "gaps": True}  # information and its inverse have no bounds
+_SHARE = {"least": 0.0, "most": 1.0}
 
 HEAD: Schema = {"@format": word(), "@format_version": whole()}
 BODY: Schema = {
@@ -36,25 +40,36 @@ RIG: Schema = {
     "size": whole("C", 2, least=1, most=1 << 15),
     "dist": real("C", 5),
 }
-FRAMES: Schema = {
-    "index": whole("N", least=0, most=1 << 30),
-    "time": real("N", least=-1e11, most=1e11),
-    "root": real("N", 4, 4),
-    "q": real("N", "J"),
-    "covariance": real("N", "6+J", "6+J", **_ANY),
-    "status": word("N"),
-    "iterations": whole("N", least=0),
-    "lost": flag("N"),
-    "support": real("N", least=0.0, most=1.0, gaps=True),
-    "probability": real("N", least=0.0, most=1.0),
-    "part_probability": real("N", "S", least=0.0, most=1.0, gaps=True),
-    "left_out": flag("N", "C"),
-    "missing": flag("N", "C"),
-    "bumps": real("N", "C", 3, least=-4.0, most=4.0),
-    "predicted": word("N"),
+
+
+@dataclass(frozen=True)
+class Column:
+    """A dataset of the frames: which attribute of `Result` and of `Estimate` it holds, its type and its rows."""
+
+    of_result: str
+    of_estimate: str
+    stored: Any
+    rows: Entry
+
+
+COLUMNS: Mapping[str, Column] = {
+    "time": Column("times", "time", "f8", real("N", least=-1e11, most=1e11)),
+    "root": Column("roots", "pose.root", "f8", real("N", 4, 4)),
+    "q": Column("q", "pose.q", "f8", real("N", "J")),
+    "covariance": Column("covariances", "covariance", "f8", real("N", "6+J", "6+J", **_ANY)),
+    "status": Column("statuses", "status", string_dtype("ascii", 16), word("N")),
+    "iterations": Column("iterations", "iterations", "i4", whole("N", least=0)),
+    "lost": Column("lost", "lost", "bool", flag("N")),
+    "support": Column("support", "support", "f8", real("N", **_SHARE, gaps=True)),
+    "probability": Column("probability", "probability", "f8", real("N", **_SHARE)),
+    "part_probability": Column("part_probability", "part_probability", "f4", real("N", "S", **_SHARE, gaps=True)),
+    "left_out": Column("left_out", "left_out", "bool", flag("N", "C")),
+    "missing": Column("missing", "missing", "bool", flag("N", "C")),
+    "bumps": Column("bumps", "bumps", "f8", real("N", "C", 3, least=-4.0, most=4.0)),
+    "predicted": Column("predicted", "predicted", string_dtype("ascii", NAME_BYTES), word("N")),
+    # The last one to be written: it says that the frame is whole.
+    "index": Column("indices", "index", "i8", whole("N", least=0, most=1 << 30)),
 }
-
-
 STATE: Schema = {"about": Entry("real", (2, 3), least=-1, most=1 << 62)}  # counts beyond those of "whole"
 
 
@@ -68,7 +83,7 @@ def frames_of(held: Mapping[str, AnyArray], source: str) -> dict[str, Any]:
     """The checked arrays of all N frames that are complete: a kill may strike between two datasets. Energies that end
     earlier are NaN from there on. Raises InputError.
     """
-    lengths = [len(array) for name in FRAMES if (array := held.get(f"frames/{name}")) is not None and array.ndim]
+    lengths = [len(array) for name in COLUMNS if (array := held.get(f"frames/{name}")) is not None and array.ndim]
     n = min(lengths, default=0)
     index = held.get("frames/index")
     if index is not None and index.ndim == 1 and index.dtype.kind == "i" and np.any(index[:n] < 0):
@@ -78,7 +93,8 @@ def frames_of(held: Mapping[str, AnyArray], source: str) -> dict[str, Any]:
     for name, array in energies.items():
         if array.ndim == 1 and array.dtype.kind == "f":
             cut[name] = np.pad(array[:n], (0, max(0, n - len(array))), constant_values=np.nan)
-    schema = dict(FRAMES) | {name.removeprefix("frames/"): real("N", **_ANY) for name in energies}
+    schema = {name: column.rows for name, column in COLUMNS.items()}
+    schema |= {name.removeprefix("frames/"): real("N", **_ANY) for name in energies}
     return of_group(cut, "frames", schema, source)
 
 

@@ -20,7 +20,7 @@ from twistcap.arrays import Float, UInt8
 from twistcap.doors.images import MOST_PIXELS, read_image
 from twistcap.errors import InputError
 
-_IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm"}
+IMAGE_ENDINGS = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm"}
 _FORMATS = (
     "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,mpegvideo,asf,flv,ogg,dv,h264,hevc,m4v,mjpeg,gif,nut,"
     "yuv4mpegpipe,mxf,ivf,obu"
@@ -242,10 +242,10 @@ def _numbered(pattern: str) -> list[str | None]:
 
 def _in_order(pattern: str) -> list[str | None]:
     files = glob(str(Path(pattern) / "*")) if Path(pattern).is_dir() else glob(pattern)
-    images: list[str] = [file for file in files if Path(file).suffix.lower() in _IMAGES]
-    return [*sorted(images, key=_natural)]
+    images: list[str] = [file for file in files if Path(file).suffix.lower() in IMAGE_ENDINGS]
+    return [*sorted(images, key=natural)]
 
 
-def _natural(file: str) -> list[tuple[int, str]]:
+def natural(name: str) -> list[tuple[int, str]]:
     """Sorts 2 before 10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file)]
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]

@@ -20,13 +20,13 @@ from twistcap.body.model import unsided
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
+from twistcap.io.plausible import TALLER
 from twistcap.io.session import GlbBody, HumanoidBody, Session
 
 _ODD, _IMPOSSIBLE = 1.15, 1.45  # ratio of the fitted stature to the stated one
 _PEOPLE, _GIANT = (1.3, 2.15), 2.45  # m, where no stature is stated
 _FAR, _LEAST = 0.03, 3.0  # residual as a fraction of the person's height in the image, and px, that is too much
 _ALONE = 2.0  # times farther off than any other camera: it is the odd one
-_TALLER = ("head_top", "nose", "neck"), ("ankle_r", "ankle_l", "heel_r", "heel_l")
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def rest_height(body: Body) -> float:
 def check_body_upright(body: Body, source: str) -> None:
     """Head over feet in the rest pose. Raises InputError for a body file whose axes were taken for others."""
     heights = dict(zip(body.landmarks.names, body.landmarks.points[:, 2], strict=True))
-    high, low = ([heights[name] for name in names if name in heights] for names in _TALLER)
+    high, low = ([heights[name] for name in names if name in heights] for names in TALLER)
     if high and low and max(high) - min(low) < 0.5 * float(np.ptp(body.vertices, axis=0).max()):
         mend = "export it y up (glTF), or mend its axes in [body] rig"
         raise InputError(f"{source}: in its rest pose the head is not above the feet, so its axes are wrong; {mend}.")

@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from twistcap.doors.strict import validated
 from twistcap.doors.text import read_lines, read_toml, toml_value
 from twistcap.errors import InputError, check
+from twistcap.io.provenance import flat
 from twistcap.io.session import DataPath, Output, Session, Table, load_session
 
 BODY = "body"
@@ -116,7 +117,7 @@ def load_study(path: Path) -> Study:
     (name, count), *_ = Counter(trial.name for trial in trials).most_common(1)
     if count > 1:
         raise InputError(f"{source}: the trial {name} is there {count} times; give each a name of its own.")
-    return Study(about.model_copy(update={"session": _flat(about.session)}), trials)
+    return Study(about.model_copy(update={"session": flat("", about.session)}), trials)
 
 
 def _check_names(trial: Trial, source: Path) -> None:
@@ -153,11 +154,3 @@ def _of_row(row: Mapping[Any, Any], path: Path, line: int) -> Trial:
         raise InputError(f"{path}: line {line} has no {empty[0]}; fill the cell.")
     keys = {name: toml_value(cell) for name, cell in cells.items() if cell and name not in _NEEDED}
     return Trial(cells["subject"], cells["trial"], path.parent / cells["session"], keys)
-
-
-def _flat(table: Mapping[str, Any], above: str = "") -> dict[str, Any]:
-    """Values by dotted key, as a command line names them."""
-    out: dict[str, Any] = {}
-    for key, value in table.items():
-        out |= _flat(value, f"{above}{key}.") if isinstance(value, dict) else {f"{above}{key}": value}
-    return out

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -21,7 +22,7 @@ from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 from twistcap.motion.matching import Interval, Match, Matcher
 from twistcap.motion.openloop import OpenLoop, PoseSequence
 from twistcap.motion.paper import standard_step
-from twistcap.ranges import Checked, Count, Share
+from twistcap.ranges import Checked, Count, Range, Share
 
 _ALIKE = 0.05  # rad per pose, of all joints together: smaller differences are no evidence
 _WORSE = 2.5  # factor by which the mean distance of a longer history may be larger than that of a shorter one
@@ -42,7 +43,7 @@ _Matched = tuple[Match, int]
 
 
 @dataclass(frozen=True)
-class RecurrenceRule(Checked):
+class RecurrenceRule(Checked, where="recurrence"):
     """What counts as a recurrence: poses that are compared, and cycles that are blended, at most.
 
     A recurrence has the person's own pace and style: it is followed up to the distance of the library's best match
@@ -50,13 +51,8 @@ class RecurrenceRule(Checked):
     """
 
     lead: float = 1.5
-    poses: int = 15
+    poses: Annotated[int, Range(1, LOOK_BACK - 1)] = 15
     count: Count = 3
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (1 <= self.poses < LOOK_BACK and self.count >= 1 and self.lead >= 0.0):
-            raise InputError(f"recurrence: poses must be 1 to {LOOK_BACK - 1}, count 1 or more, and lead not negative.")
 
 
 def recurrences(q: Float, rule: RecurrenceRule) -> list[Match]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from twistcap import se3
 from twistcap.arrays import Float, Int
@@ -74,11 +75,7 @@ class SkeletonMotion:
 
     def rest_positions(self) -> Float:
         """(S, 3) joints in the rest pose, m."""
-        out = self.offsets.copy()
-        for s, parent in enumerate(self.parents):
-            if parent >= 0:
-                out[s] += out[parent]
-        return out
+        return rest_positions(self.offsets, self.parents)
 
     @staticmethod
     def from_local(
@@ -94,6 +91,15 @@ class SkeletonMotion:
             positions[:, s] = positions[:, parent] + rotations[:, parent] @ offsets[s]
         where = np.asarray(parents, dtype=np.int32)
         return SkeletonMotion(name, tuple(joints), where, offsets, rotations, positions, rate, up)
+
+
+def rest_positions(offsets: Float, parents: ArrayLike) -> Float:
+    """(S, 3) joints in the rest pose; a root is at its own offset."""
+    out = offsets.copy()
+    for s, parent in enumerate(np.asarray(parents)):
+        if parent >= 0:
+            out[s] += out[parent]
+    return out
 
 
 def skeleton_of(body: Body, poses: Sequence[Pose], rate: float, name: str = "motion") -> SkeletonMotion:

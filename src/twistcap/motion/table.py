@@ -26,7 +26,7 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from twistcap.arrays import Float
 from twistcap.doors.strict import validated
@@ -40,10 +40,9 @@ REQUIRED = ("pelvis", "femur_r", "femur_l", "tibia_r", "tibia_l")
 Vector = tuple[float, float, float]
 
 
-class SegmentAxes(BaseModel):
+class SegmentAxes(BaseModel, extra="forbid", frozen=True):
     """One row of the table; see the module's head."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     joint: str | tuple[str, ...] = Field(min_length=1)
     forward: Vector
     up: Vector | str | None = None
@@ -61,10 +60,9 @@ class SegmentAxes(BaseModel):
         return (self.joint,) if isinstance(self.joint, str) else self.joint
 
 
-class SkeletonTable(BaseModel):
+class SkeletonTable(BaseModel, extra="forbid", frozen=True):
     """The TOML of a skeleton; see the module's head."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     name: str
     segments: dict[str, SegmentAxes]
 

@@ -28,7 +28,7 @@ from twistcap.io.tidy import write_rows
 from twistcap.io.unaided import Silhouette
 from twistcap.pages.assemble import jpeg
 from twistcap.pages.outlines import body_outlines, flat
-from twistcap.pages.server import Answer, mapping_of
+from twistcap.pages.server import Answer, mapping_of, numbers_of
 from twistcap.region.compare import iou
 from twistcap.render.view import render
 
@@ -185,7 +185,7 @@ class Clicking:
             for joint, pixel in mapping_of(joints, f"clicks of {camera}").items():
                 if joint not in self.generic.landmarks.names:
                     raise InputError(f"clicks: joint {joint!r} is unknown to body {self.generic.name!r}.")
-                x, y = _numbers(pixel, 2, f"{joint} in {camera}")
+                x, y = numbers_of(pixel, f"{joint} in {camera}", 2)
                 clicks.setdefault(camera, {})[joint] = (x, y)
         return clicks
 
@@ -197,7 +197,7 @@ class Clicking:
                 mend = f"a GLB of no known rig needs a rig file ({RIG_PAGE})"
                 raise InputError(f"the body {self.generic.name!r} has no coordinate {name!r}; {mend}.")
             lower, upper = self.generic.limits[self.generic.coordinate(name)]
-            angles[name] = float(np.clip(np.deg2rad(_numbers([value], 1, name)[0]), lower, upper))
+            angles[name] = float(np.clip(np.deg2rad(numbers_of([value], name, 1)[0]), lower, upper))
         return angles
 
 
@@ -244,10 +244,3 @@ def _named_pixels(camera: Camera, names: tuple[str, ...], points: Any) -> dict[s
     pixels, depth = camera.project(points)
     seen = (depth > 0) & np.isfinite(pixels).all(axis=1)
     return {name: pixel for name, pixel, s in zip(names, pixels.round(1).tolist(), seen, strict=True) if s}
-
-
-def _numbers(given: Any, count: int, what: str) -> list[float]:
-    good = isinstance(given, list) and len(given) == count
-    if not good or not all(isinstance(v, (int, float)) and abs(v) < 1e6 for v in given):
-        raise InputError(f"{what}: {given!r} must be {count} finite number{'s' if count > 1 else ''}.")
-    return [float(v) for v in given]

@@ -16,9 +16,7 @@ from twistcap.arrays import Bool, UInt8
 from twistcap.errors import InputError
 from twistcap.pages.assemble import jpeg
 from twistcap.pages.outlines import flat
-from twistcap.pages.server import Answer
-
-_MOST = 20000  # numbers in one stroke
+from twistcap.pages.server import Answer, numbers_of
 
 
 @dataclass(frozen=True)
@@ -111,7 +109,7 @@ def _write(path: Path, mask: Bool) -> None:
 
 def _hints(question: Mapping[str, Any]) -> Hints:
     rectangle, strokes = question.get("rectangle"), question.get("strokes") or []
-    corners = None if rectangle is None else _numbers(rectangle, "the rectangle")
+    corners = None if rectangle is None else numbers_of(rectangle, "the rectangle")
     found = None
     if corners is not None:
         if len(corners) != 4 or np.ptp(np.reshape(corners, (2, 2)), axis=0).min() < 2:
@@ -125,15 +123,8 @@ def _hints(question: Mapping[str, Any]) -> Hints:
 def _stroke(given: Any) -> Stroke:
     if not isinstance(given, dict):
         raise InputError(f"a stroke must be an object, not {given!r}.")
-    points = _numbers(given.get("points"), "a stroke's points")
+    points = numbers_of(given.get("points"), "a stroke's points")
     if len(points) < 2 or len(points) % 2:
         raise InputError("a stroke's points must be x, y, x, y, …")
-    width = _numbers([given.get("width", 8)], "a stroke's width")[0]
+    width = numbers_of([given.get("width", 8)], "a stroke's width", 1)[0]
     return Stroke(bool(given.get("inside")), np.array(points).reshape(-1, 2), float(np.clip(width, 1, 500)))
-
-
-def _numbers(given: Any, what: str) -> list[float]:
-    good = isinstance(given, list) and len(given) <= _MOST
-    if not good or not all(isinstance(v, (int, float)) and abs(v) < 1e6 for v in given):
-        raise InputError(f"{what} must be finite numbers.")
-    return [float(v) for v in given]

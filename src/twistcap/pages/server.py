@@ -14,6 +14,7 @@ from twistcap.errors import InputError
 Answer = Callable[[Mapping[str, Any]], Mapping[str, Any]]  # JSON object in, JSON object out
 _LOCAL = ("127.0.0.1", "localhost")
 _LARGEST = 1 << 22  # bytes of a question
+_MOST, _GREATEST = 20_000, 1e6  # numbers in a list of a question; of one of them, px or degrees
 _PATIENCE = 10.0  # s that a connection may be silent
 
 
@@ -86,6 +87,14 @@ def mapping_of(given: Any, what: str) -> Mapping[str, Any]:
     if not isinstance(given, dict):
         raise InputError(f"{what} must be an object, not {given!r}.")
     return given
+
+
+def numbers_of(given: Any, what: str, count: int | None = None) -> list[float]:
+    """Numbers of a question, as many as asked for. Raises InputError for anything else."""
+    good = isinstance(given, list) and len(given) <= _MOST and count in (None, len(given))
+    if not good or not all(isinstance(v, (int, float)) and abs(v) < _GREATEST for v in given):
+        raise InputError(f"{what} must be {'' if count is None else f'{count} '}finite number{'s' * (count != 1)}.")
+    return [float(v) for v in given]
 
 
 def page_server(page: str, answers: Mapping[str, Answer] | None = None, port: int = 0) -> PageServer:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -31,21 +31,15 @@ _PX, _MM, _DEG, _PERCENT = (0.5, 2.0), (5.0, 20.0), (0.3, 1.0), (0.3, 1.0)  # go
 def write_calibration_page(found: Calibration, folder: Path, title: str = "Calibration") -> Path:
     """Write ``calibration.html`` into a folder. Raises InputError where it cannot be written."""
     rows = camera_rows(found)
-    with TemporaryDirectory() as scratch:
-        figures = [
-            Figure(_places(found, Path(scratch)), _places_caption(found)),
-            Figure(_images(found, Path(scratch)), _IMAGES),
-            Figure(_histogram(found, Path(scratch)), _HISTOGRAM),
-        ]
-        said = sentences(found)
-        remarks, todo = said[: len(rows)], said[len(rows) :]  # a line for each camera comes first
-        todo = todo or ["Nothing: every camera saw enough. Do not move the cameras any more."]
-        about = {folder / "Calib.toml": "the calibration; read by twistcap, Pose2Sim and aniposelib"}
-        table = _table(rows, found.timing.alike)
-        return write_report(
-            folder, title, table, lead=_lead(found), headlines=_headlines(rows), figures=figures,
-            files=about, notes=remarks, advice=todo, name="calibration.html",
-        )  # fmt: skip
+    drawn = ((_places(found), _places_caption(found)), (_images(found), _IMAGES), (_histogram(found), _HISTOGRAM))
+    said = sentences(found)
+    remarks, todo = said[: len(rows)], said[len(rows) :]  # a line for each camera comes first
+    return write_report(
+        folder, title, _table(rows, found.timing.alike), lead=_lead(found), headlines=_headlines(rows),
+        figures=[Figure(*each) for each in drawn], notes=remarks, name="calibration.html",
+        files={folder / "Calib.toml": "the calibration; read by twistcap, Pose2Sim and aniposelib"},
+        advice=todo or ["Nothing: every camera saw enough. Do not move the cameras any more."],
+    )  # fmt: skip
 
 
 def _lead(found: Calibration) -> str:
@@ -110,7 +104,7 @@ def _places_caption(found: Calibration) -> str:
     return f"The cameras from above and from the side, ellipses of ±2σ drawn ten times as large, and the boards. {up}"
 
 
-def _images(found: Calibration, folder: Path) -> Path:
+def _images(found: Calibration) -> bytes:
     count = len(found.rig)
     columns = min(math.ceil(math.sqrt(count)), 3)
     lines = -(-count // columns)
@@ -122,7 +116,7 @@ def _images(found: Calibration, folder: Path) -> Path:
         axes.set_title(camera.name, fontsize=10)
         axes.tick_params(labelsize=7)
         _draw_residuals(axes, found, c)
-    return _saved(drawing, folder / "images.png")
+    return _png(drawing)
 
 
 def _draw_residuals(axes: Axes, found: Calibration, camera: int) -> None:
@@ -137,7 +131,7 @@ def _draw_residuals(axes: Axes, found: Calibration, camera: int) -> None:
         axes.plot(*wrong.T, ".", color=_WRONG, ms=4)
 
 
-def _places(found: Calibration, folder: Path) -> Path:
+def _places(found: Calibration) -> bytes:
     drawing = Drawing(figsize=(12, 5.2), layout="constrained")
     for k, (axis, name) in enumerate(((1, "from above: x and y, m"), (2, "from the side: x and z, m"))):
         axes = drawing.add_subplot(1, 2, k + 1)
@@ -150,7 +144,7 @@ def _places(found: Calibration, folder: Path) -> Path:
         _draw_boards(axes, found, axis)
         if axis == 2 and found.floor_known:
             axes.axhline(0.0, color="black", lw=1)
-    return _saved(drawing, folder / "places.png")
+    return _png(drawing)
 
 
 def _draw_camera(axes: Axes, found: Calibration, c: int, axis: int) -> None:
@@ -185,7 +179,7 @@ def _extent(found: Calibration) -> float:
     return max(float(np.ptp(centres, axis=0).max()), 0.5)
 
 
-def _histogram(found: Calibration, folder: Path) -> Path:
+def _histogram(found: Calibration) -> bytes:
     drawing = Drawing(figsize=(12, 3), layout="constrained")
     axes, a = drawing.add_subplot(), found.adjustment
     sizes = [
@@ -202,9 +196,10 @@ def _histogram(found: Calibration, folder: Path) -> Path:
         axes.hist(np.minimum(own, top), bins=bins, histtype="step", color=colour, label=camera.name, lw=1.4)
     axes.set(xlabel="px off", ylabel="points", xlim=(0, top))
     axes.legend(fontsize=8, loc="upper center")
-    return _saved(drawing, folder / "histogram.png")
+    return _png(drawing)
 
 
-def _saved(drawing: Drawing, path: Path) -> Path:
-    FigureCanvasAgg(drawing).print_png(str(path))
-    return path
+def _png(drawing: Drawing) -> bytes:
+    out = BytesIO()
+    FigureCanvasAgg(drawing).print_png(out)
+    return out.getvalue()

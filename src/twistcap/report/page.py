@@ -37,8 +37,8 @@ class Headline:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture to put into the page, with a caption: the path of a PNG, or a JPEG's bytes. A `photo` keeps its colours
-    on a dark page."""
+    """A picture to put into the page, with a caption: the path of a PNG, or the bytes of a PNG or JPEG. A `photo` keeps
+    its colours on a dark page."""
 
     picture: Path | bytes
     caption: str
@@ -179,7 +179,8 @@ def _stills(stills: Sequence[Figure]) -> str:
 def _figure(figure: Figure, kind: str) -> str:
     """A plot is as wide as it must be to be read, and scrolls where the page is narrower."""
     picture, caption = figure.picture, escape(figure.caption)
-    content, mime = (picture, "jpeg") if isinstance(picture, bytes) else (picture.read_bytes(), "png")
+    content = picture if isinstance(picture, bytes) else picture.read_bytes()
+    mime = "png" if content[1:4] == b"PNG" else "jpeg"
     image = (
         f'<img decoding="async" alt="{caption}" src="data:image/{mime};base64,{base64.b64encode(content).decode()}">'
     )

@@ -60,7 +60,6 @@ class StudioConfig(Checked):
         super().__post_init__()
         _expect(1 <= self.views <= 8, "views", self.views, "1 to 8")
         _expect(min(self.size) >= 16, "size", self.size, "at least 16 pixels each way")
-        _expect(self.frames >= 1, "frames", self.frames, "1 or more")
         _expect(self.condition in ("exact", "mismatch"), "condition", self.condition, "'exact' or 'mismatch'")
         knots = np.atleast_1d(self.uniform_noise)
         _expect(bool(np.all((knots >= 0) & (knots <= 1))), "uniform_noise", self.uniform_noise, "in [0, 1]")

@@ -40,7 +40,6 @@ class Frames(Protocol):
 class FitRule(Checked, where="body fit"):
     """How much work a fit takes.
 
-
     In each of the `rounds` the recording is tracked with the body so far; Gauss-Newton `steps` follow. Of each
     recording the shape is fitted to `frames` frames at most, evenly spread.
     """

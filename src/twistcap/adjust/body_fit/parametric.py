@@ -59,7 +59,6 @@ class Parametric:
         return Fields(tuple(p.name for p in parameters), *rates, precision)
 
     def moved(self, fields: Fields, amounts: Float, change: Float) -> tuple[Float, Motions]:
-
         before = self.start + amounts
         after = _within(self.model.parameters, before + change)
         old, new = self.model.bodies(np.stack([before, after]))

@@ -82,25 +82,23 @@ class SequenceImages:
         return Appearance.blank(self.cameras, self.body.segment_names, AppearanceRule(memory=1.0))
 
     def measure(self, posed: Sequence[Posed], trusted: Bool, coarse: bool) -> list[CameraRound]:
-        """A round of all cameras, one thread for each; frames that are not `trusted` (F,) are left out."""
-        with ThreadPoolExecutor(min(self.cameras, os.cpu_count() or 1)) as pool:
-            rounds = list(pool.map(lambda i: self._one_camera(i, posed, trusted, coarse), range(self.cameras)))
-        self.colours = self._blank()
-        for of_camera in rounds:
-            self.colours = self.colours + of_camera.colours
-        return rounds
+        """A round of all cameras; frames that are not `trusted` (F,) are left out."""
+        return self._round([posed] * self.cameras, trusted, coarse)
 
     def contours(self, posed: Sequence[Sequence[Posed]], coarse: bool) -> list[Sequence[PointTerm | None]]:
         """Contours alone, each camera's of poses of its own (C lists of F)."""
-        trusted = np.ones(len(posed[0]), dtype=np.bool_)
-        with ThreadPoolExecutor(min(self.cameras, os.cpu_count() or 1)) as pool:
-            rounds = list(
-                pool.map(lambda i: self._one_camera(i, posed[i], trusted, coarse, False), range(self.cameras))
-            )
-        self.colours = self._blank()
-        for of_camera in rounds:
-            self.colours = self.colours + of_camera.colours
+        rounds = self._round(posed, np.ones(len(posed[0]), dtype=np.bool_), coarse, brightness=False)
         return [of_camera.contours for of_camera in rounds]
+
+    def _round(
+        self, posed: Sequence[Sequence[Posed]], trusted: Bool, coarse: bool, brightness: bool = True
+    ) -> list[CameraRound]:
+        """One thread for each camera; what all have seen of the colours is known from now on."""
+        with ThreadPoolExecutor(min(self.cameras, os.cpu_count() or 1)) as pool:
+            work = [(i, own, trusted, coarse, brightness) for i, own in enumerate(posed)]
+            rounds = list(pool.map(self._one_camera, *zip(*work, strict=True)))
+        self.colours = sum((of_camera.colours for of_camera in rounds), self._blank())
+        return rounds
 
     def agreeing(self, posed: Sequence[Posed], cameras: Sequence[int]) -> dict[int, Float]:
         """Of some cameras, the share (F,) of the contour points of poses that agree; NaN without an image."""

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
-from twistcap import se3
 from twistcap.adjust.refine.evidence import reshaped
 from twistcap.adjust.refine.measure import CameraRound
 from twistcap.adjust.refine.shape import Shape
 from twistcap.adjust.refine.sums import WIDTH, FrameSums, add_products, derivatives, flat, projection
+from twistcap.adjust.sequence import accelerations, pose_priors
 from twistcap.arrays import Float
 from twistcap.body import Pose, Posed
 from twistcap.body.shape import RestMotion
 from twistcap.predict import MotionNoise
-from twistcap.predict.history import covariance_about
 from twistcap.solve import Arrow
-from twistcap.terms import LimitTerm, RestTerm
 
 
 @dataclass(frozen=True)
@@ -37,18 +35,14 @@ class Track:
 
 @dataclass(frozen=True)
 class Standing:
-    """What is known without the images: times (F,) s, noise of the motion, and settings as in `RefineConfig`.
-
-    `rest` (rad) is the standard deviation of the joints from the rest pose, `shape_weight` a factor on the prior of the
-    shape, which matches the way in which images are counted.
-    """
+    """What is known without the images: times (F,) s, and settings as in `RefineConfig`. `shape_weight` is a factor on
+    the prior of the shape, which matches the way in which images are counted."""
 
     times: Sequence[float]
-    noise: MotionNoise
-    rest: float
     hinge: float
     shape_weight: float
     contour: float
+    noise: MotionNoise = field(default_factory=MotionNoise)
 
 
 class RefineProblem:
@@ -74,7 +68,7 @@ class RefineProblem:
         for t, terms in enumerate(self.contours):
             for term in terms:
                 yield "contour", t, self.standing.contour * reshaped(term, maps).energy(posed[t])
-            for prior in self._priors():
+            for prior in pose_priors():
                 yield prior.name, t, prior.energy(posed[t])
         for pair in self.pairs:
             yield "photometric", pair.second, reshaped(pair, maps).energy(posed[pair.first], posed[pair.second])
@@ -100,7 +94,7 @@ class RefineProblem:
             arrow.border[t] += matrix[:D, D:]
             arrow.corner += matrix[D:, D:]
             arrow.shared_pull += gradient[D:]
-            for prior in self._priors():
+            for prior in pose_priors():
                 quadratic = prior.linearize(posed[t])
                 arrow.value += quadratic.value
                 arrow.add_pose(t, quadratic.gradient, quadratic.hessian)
@@ -116,9 +110,6 @@ class RefineProblem:
         D = x.shape.body.dof
         poses = tuple(p.retract(step[t * D : (t + 1) * D]) for t, p in enumerate(x.poses))
         return Track(poses, x.shape.stepped(step[len(poses) * D :]))
-
-    def _priors(self) -> tuple[LimitTerm, RestTerm]:
-        return LimitTerm(), RestTerm(self.standing.rest)
 
     def _add_pairs(self, arrow: Arrow, own: Sequence[FrameSums], maps: Float | None, motion: RestMotion) -> None:
         """Add brightness: the rows of each end to its frame's sums, their products to the coupling of both frames."""
@@ -140,36 +131,3 @@ class RefineProblem:
             arrow.border[a] += matrix[:D, D:]
             arrow.border[b] += matrix[D:, :D].T
             arrow.corner += matrix[D:, D:] + matrix[D:, D:].T
-
-
-def accelerations(
-    poses: Sequence[Pose], times: Sequence[float], noise: MotionNoise, system: Arrow | None = None
-) -> float:
-    """Energy of the change of velocity, ``log(M' M⁻¹) / Δt`` and ``Δq / Δt``, at every inner frame.
-
-    Over the mean Δt it is an acceleration of the standard deviations of `noise`, the root's about the body. Its rows
-    are added to a system if one is given.
-    """
-    energy = 0.0
-    for t in range(1, len(poses) - 1):
-        dt = times[t] - times[t - 1], times[t + 1] - times[t]
-        first, second = poses[t].minus(poses[t - 1]), poses[t + 1].minus(poses[t])
-        variance = (0.5 * (dt[0] + dt[1])) ** 2 * noise.variance(len(first), 1.0, "constant_velocity")
-        _, information = covariance_about(variance, poses[t].root[:3, 3])
-        root = np.linalg.cholesky(information).T  # rows that the unit weight fits
-        white = root @ (second / dt[1] - first / dt[0])
-        energy += 0.5 * float(white @ white)
-        if system is not None:
-            (from_a, to_b), (from_b, to_c) = _derivatives(first), _derivatives(second)
-            J = (-from_a / dt[0], from_b / dt[1] - to_b / dt[0], to_c / dt[1])
-            system.add_rows((t - 1, t, t + 1), tuple(root @ j for j in J), None, np.ones(len(white)), white)
-    return energy
-
-
-def _derivatives(step: Float) -> tuple[Float, Float]:
-    """(D, D) derivatives of the step between two poses by the steps of the one it starts from and of the other.
-    ``log(exp(δ') D exp(−δ))``: by δ' the inverse left Jacobian at the step, by δ minus the inverse right one."""
-    start, end = -np.eye(len(step)), np.eye(len(step))
-    end[:6, :6] = se3.inverse_left_jacobian_one(step[:6])
-    start[:6, :6] = -se3.inverse_left_jacobian_one(-step[:6])
-    return start, end

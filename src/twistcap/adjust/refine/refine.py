@@ -23,9 +23,7 @@ from twistcap.camera import Rig
 from twistcap.cues.support import SupportRule
 from twistcap.errors import InputError, check
 from twistcap.estimate import Estimate, Frame
-from twistcap.predict import MotionNoise
 from twistcap.predict.inertia import INFLATION
-from twistcap.priors.standing import RestPose
 from twistcap.search.flag import FlagRule, flag_groups, segment_deviations, support_signs
 from twistcap.settings import Settings
 from twistcap.solve import Arrow, Solution, minimise
@@ -128,14 +126,13 @@ def _adjusted(images: SequenceImages, given: Track, estimates: Sequence[Estimate
     """Rounds until one settles; only to the first fine round where contours err together too much."""
     config, x, moved, total = images.config, given, list[float](), len(estimates) * (1 + images.config.rounds)
     most = config.rounds if given.shape.moved else min(config.rounds, _HELD_ROUNDS)
-    inflation, rest, times = INFLATION**2, float(np.deg2rad(RestPose().sigma_deg)), [e.time for e in estimates]
-    trusted = ~_bridged(estimates)
+    inflation, times, trusted = INFLATION**2, [e.time for e in estimates], ~_bridged(estimates)
     while True:
         coarse = len(moved) < config.coarse_rounds
         rounds = images.measure(x.posed, trusted, coarse)
         effect = design_effect(rounds, x.posed, inflation)
         # Images are counted at their own noise, of which the claimed one is a multiple; so must the shape's prior be.
-        standing = Standing(times, MotionNoise(), rest, config.hinge, effect * inflation, config.contour)
+        standing = Standing(times, config.hinge, effect * inflation, config.contour)
         problem = RefineProblem(x, rounds, standing)
         solution = minimise(problem, x, 1, _DAMPING)
         moved.append(_mean_move(x, solution.x))

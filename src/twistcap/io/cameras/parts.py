@@ -1,4 +1,4 @@
-"""What all readers of calibrations share: a camera out of its parts, checked."""
+"""What all readers of calibrations share: parts of a camera, checked."""
 
 from __future__ import annotations
 
@@ -6,18 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 
-from twistcap import se3
 from twistcap.arrays import Float
-from twistcap.camera import Camera
 from twistcap.doors.text import finite_number
 from twistcap.errors import InputError, check
-from twistcap.io.calibration import check_camera
 
 Size = tuple[int, int]
-ROTATION_SLACK = 1e-3
 
 
 @dataclass(frozen=True)
@@ -42,29 +37,6 @@ class Asked:
         if size is None:
             raise InputError(f"{where}: the file does not say how large the images are; say it, as --size 1920x1080.")
         return size
-
-
-def made(
-    where: str, name: str, K: Float, place: tuple[Float, Float], size: Size, dist: Float, fisheye: bool = False
-) -> Camera:
-    """A camera of an intrinsic matrix, its place (rotation (3, 3) or Rodrigues' vector (3,); translation (3,), m; world
-    to camera), and distortion coefficients. Raises InputError for what no camera has.
-    """
-    R, t = place
-    most = 4 if fisheye else 5
-    check(where, not np.any(dist[most:]), f"at most {most} distortion coefficients are supported; calibrate with fewer")
-    out = Camera(name, K, se3.transform(rotation(where, R), t), size, np.concatenate([dist, np.zeros(5)])[:5], fisheye)
-    check_camera(where, out)
-    return out
-
-
-def rotation(where: str, R: Float) -> Float:
-    """(3, 3) of a matrix that is nearly a rotation, or of Rodrigues' vector. Raises InputError for another matrix."""
-    if R.size == 3:
-        return np.asarray(cv2.Rodrigues(R.reshape(3))[0], dtype=float)
-    square = bool(np.allclose(R @ R.T, np.eye(3), atol=ROTATION_SLACK))
-    check(where, square and np.linalg.det(R) > 0, "its rotation is none; rows must be orthonormal, and not mirrored")
-    return se3.orthonormalised(se3.transform(R, np.zeros(3)))[:3, :3]
 
 
 def numbers(where: str, words: Any, count: int | None = None) -> Float:

@@ -12,7 +12,8 @@ import numpy as np
 from twistcap.arrays import Float
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError, check
-from twistcap.io.cameras.parts import Asked, Size, made, numbers, whole_size, without_fisheye
+from twistcap.io.calibration import made
+from twistcap.io.cameras.parts import Asked, Size, numbers, whole_size, without_fisheye
 from twistcap.io.opencv_storage import read_storage, storage_lines
 
 _K = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "intrinsic_matrix")
@@ -61,9 +62,8 @@ def read_easymocap(path: Path, asked: Asked) -> Rig:
         at, there = f"{where}, camera {name!r}", f"calibration {folder / _PAIR[1]}, camera {name!r}"
         R = outer.get(f"Rot_{name}", outer.get(f"R_{name}"))
         K, dist = _matrix(at, inner, (f"K_{name}",)), _matrix(at, inner, (f"dist_{name}",)).ravel()
-        place = (_turn(there, R), _matrix(there, outer, (f"T_{name}",)).ravel() * asked.metres(1.0))
+        place = (_turn(there, R), _shift(there, _matrix(there, outer, (f"T_{name}",)), asked))
         size = asked.size_or(_size(at, inner, f"W_{name}", f"H_{name}"), at)
-        _three(there, place[1])
         cameras.append(made(at, str(name), _square(at, K), place, size, dist))
     return Rig(tuple(cameras))
 
@@ -102,8 +102,7 @@ def _stereo(path: Path, asked: Asked) -> Rig:
     if not held.keys() >= _STEREO[0] | _STEREO[1]:
         pair = "intrinsics.yml (M1, D1, M2, D2) and extrinsics.yml (R, T)"
         raise InputError(f"{where}: it is half of OpenCV's stereo calibration; put {pair} into one folder.")
-    places = (np.eye(3), np.zeros(3)), (_turn(where, held["R"]), held["T"].ravel() * asked.metres(1.0))
-    _three(where, places[1][1])
+    places = (np.eye(3), np.zeros(3)), (_turn(where, held["R"]), _shift(where, _matrix(where, held, ("T",)), asked))
     size, cameras = asked.size_or(None, where), list[Camera]()
     for name, place in zip("12", places, strict=True):
         K, dist = (_matrix(where, held, (kind + name,)) for kind in "MD")
@@ -115,8 +114,7 @@ def _camera(file: Path, asked: Asked) -> Camera:
     where, held = f"calibration {file}", read_storage(file)
     K = _square(where, _matrix(where, held, _K))
     dist = next((held[name].ravel() for name in _DIST if isinstance(held.get(name), np.ndarray)), np.zeros(5))
-    t = _matrix(where, held, _T).ravel() * asked.metres(1.0)
-    _three(where, t)
+    t = _shift(where, _matrix(where, held, _T), asked)
     given = _size(where, held, "image_width", "image_height") or _size(where, held, "image_Width", "image_Height")
     place = (_turn(where, next((held[name] for name in _R if name in held), None)), t)
     return made(where, file.stem, K, place, asked.size_or(given, where), dist)
@@ -134,8 +132,9 @@ def _square(where: str, K: Float) -> Float:
     return K
 
 
-def _three(where: str, t: Float) -> None:
-    check(where, t.shape == (3,), f"its translation has {t.size} numbers, not 3")
+def _shift(where: str, t: Float, asked: Asked) -> Float:
+    check(where, t.size == 3, f"its translation has {t.size} numbers, not 3")
+    return t.ravel() * asked.metres(1.0)
 
 
 def _turn(where: str, R: Any) -> Float:

@@ -14,7 +14,8 @@ from twistcap.arrays import Float
 from twistcap.camera import Camera, Rig
 from twistcap.doors.text import read_text
 from twistcap.errors import InputError, check
-from twistcap.io.cameras.parts import Asked, attribute, intrinsics, made, numbers, whole_size, without_fisheye
+from twistcap.io.calibration import made
+from twistcap.io.cameras.parts import Asked, attribute, intrinsics, numbers, whole_size, without_fisheye
 from twistcap.io.files import write_lines
 from twistcap.io.opencv_storage import parsed_xml
 
@@ -152,8 +153,10 @@ def _radial(where: str, key: Element) -> Float:
 def _from_vicon(k: Float, focal: float, size: tuple[int, int]) -> Float:
     """(5,) OpenCV's distortion that undoes Vicon's correction, over the image."""
     seen = np.linspace(0.0, 0.55 * float(np.hypot(*size)), 200)[1:]
-    straight = seen * (1.0 + k[0] * seen**2 + k[1] * seen**4)
-    return _radial_fit(straight / focal, seen / focal)
+    straight = seen * (1.0 + k[0] * seen**2 + k[1] * seen**4) / focal
+    rows = np.stack([straight**3, straight**5, straight**7], axis=1)
+    k1, k2, k3 = np.linalg.lstsq(rows, seen / focal - straight, rcond=None)[0]
+    return np.array([k1, k2, 0.0, 0.0, k3])
 
 
 def _to_vicon(camera: Camera) -> Float:
@@ -165,13 +168,6 @@ def _to_vicon(camera: Camera) -> Float:
     rows = np.stack([seen**3, seen**5], axis=1)
     scale = np.abs(rows).max(axis=0)
     return np.linalg.lstsq(rows / scale, focal * straight - seen, rcond=None)[0] / scale
-
-
-def _radial_fit(straight: Float, seen: Float) -> Float:
-    """(5,) OpenCV's k1, k2, k3 that take radii without distortion to those seen."""
-    rows = np.stack([straight**3, straight**5, straight**7], axis=1)
-    k1, k2, k3 = np.linalg.lstsq(rows, seen - straight, rcond=None)[0]
-    return np.array([k1, k2, 0.0, 0.0, k3])
 
 
 def _child(where: str, element: Element, tag: str) -> Element:

@@ -15,7 +15,8 @@ from twistcap.arrays import Float
 from twistcap.camera import Camera, Rig
 from twistcap.doors.text import number_array, read_toml
 from twistcap.errors import InputError, check
-from twistcap.io.cameras.parts import Asked, made, whole_size, without_fisheye
+from twistcap.io.calibration import made
+from twistcap.io.cameras.parts import Asked, whole_size, without_fisheye
 from twistcap.io.files import replacing, write_lines
 from twistcap.io.number_pickle import read_number_pickle
 

@@ -13,7 +13,8 @@ from twistcap.arrays import Float
 from twistcap.camera import Camera, Rig
 from twistcap.doors.text import read_lines
 from twistcap.errors import InputError, check
-from twistcap.io.cameras.parts import Asked, Size, intrinsics, made, numbers, whole_size
+from twistcap.io.calibration import made
+from twistcap.io.cameras.parts import Asked, Size, intrinsics, numbers, whole_size
 from twistcap.io.files import write_lines
 
 # Where fx, fy, cx, cy and k1, k2, p1, p2, k3 stand among the numbers of a COLMAP model; −1 is a 0.
