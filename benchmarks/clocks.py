@@ -28,8 +28,10 @@ from twistcap.body import Body, Pose, Posed
 from twistcap.body.gltf_write import save_glb
 from twistcap.commands.sync import synchronise
 from twistcap.io.calibration import write_rig
+from twistcap.io.clocks import Clock
 from twistcap.io.recording import open_recording
 from twistcap.io.session import load_session
+from twistcap.io.session_edit import write_clocks
 from twistcap.io.videowriter import VideoWriter
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
@@ -165,9 +167,14 @@ def studio(seeds: Sequence[int], condition: str, frames: int, start: str) -> Non
             sigma = np.array([row["sigma_frames"] for row in document["cameras"]])
             off = 60.0 * np.abs(found - filmed.offsets)
             joints = [joint_error(session, filmed) for session in (filmed.session, filmed.together)]
+            names = [row["camera"] for row in document["cameras"]]
+            true = {name: Clock(float(t)) for name, t in zip(names, filmed.offsets, strict=True)}
+            write_clocks(filmed.session, true, None)
+            joints.append(joint_error(filmed.session, filmed))
             print(f"seed {seed} {condition}: began with {document['began_with']}; unsure {document['unsure']}")
             print(f"  clocks off by {np.round(off, 3)} frames, sigma {np.round(sigma, 3)}")
-            print(f"  joints {joints[0]:.2f} mm, of triggered cameras {joints[1]:.2f} mm", flush=True)
+            of = "joints {:.2f} mm, of triggered cameras {:.2f} mm, by the true clocks {:.2f} mm"
+            print("  " + of.format(*joints), flush=True)
 
 
 def keypoints(frames: int) -> None:
