@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 _PASSES = 10  # of tracking and estimating, at most, until the clocks settle
 _FIRST = 100  # frames of the first pass; twice as many, and again, where the settled clocks are not known well
 _AIM = 0.02  # frames, standard deviation of a clock that is known well
+_SETTLED = 0.1  # frames by which clocks may move in the last pass; that is part of what is not known of them
 _SURE = 0.1  # frames, of the standard deviation of a clock that is sure by itself
 _CLEAR = 3.0  # standard deviations by which the session's clock is surely worse
 _LOST = 0.1  # fraction of frames that may be lost, or without a camera, where clocks are sure
@@ -118,13 +119,14 @@ def _settled(session: Any, clocks: dict[str, Clock], count: int) -> tuple[dict[s
         moves, sigmas = (np.abs(s) / found.frame for s in (found.late, found.sigma))
         moved, sigma = moves.max(), sigmas.max()
         words.print(f"pass {n}, {found.tracked} frames: clocks moved by up to {moved:.2f} frames, known to {sigma:.3f}")
-        moving = moves > np.maximum(sigmas, _AIM)
+        moving = moves >= _SETTLED
         if moving.any() and n < _PASSES:
             continue
         if moving.any() or sigma <= _AIM or found.tracked < frames or frames == count:
             still = "the clock of {} still moved by {:.2f} frames in the last pass"
             doubts = tuple((k, still.format(k, by)) for k, by, m in zip(clocks, moves, moving, strict=True) if m)
-            return clocks, replace(found, doubts=(*doubts, *found.doubts))
+            unsure = np.hypot(found.sigma, found.late)
+            return clocks, replace(found, sigma=unsure, doubts=(*doubts, *found.doubts))
         n, frames = 0, min(2 * frames, count)
 
 
