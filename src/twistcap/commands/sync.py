@@ -30,6 +30,8 @@ _AGREE = {"sound": 0.15, "motion": 0.3}  # correlation from which signals are be
 _MARGIN = 0.05  # of the correlation over that of the next different offset
 _APART = 0.15  # s by which another offset differs
 _KEPT = 0.07  # s by which coarse offsets may differ from the given ones that are kept
+_KEYPOINTS = ""  # their name among those of the cameras: they have a clock too
+_Doubt = tuple[str | None, str]  # whose clock is not sure, None for all, and why
 
 
 def sync(
@@ -52,10 +54,6 @@ def sync(
     """
     check_choice("--start", start, ("auto", "sound", "motion", "given"))
     terminal.finish(synchronise(session, start, count, not dry_run), json, tell)
-
-
-_KEYPOINTS = ""  # they have a clock as cameras have
-_Doubt = tuple[str | None, str]  # whose clock is not sure, None for all, and why
 
 
 @dataclass(frozen=True)
