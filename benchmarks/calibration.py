@@ -141,6 +141,8 @@ def drawn(camera: Camera, rays: Float, T: Float, board: Board, picture: AnyArray
     rays = rays[fine * rows.start : fine * rows.stop, fine * columns.start : fine * columns.stop]
     if not rays.size:
         return image
+    finer = int(np.ceil(pixels / (fine * shortest_square(camera, T, board))))
+    rays = cv2.resize(rays, (0, 0), fx=finer, fy=finer, interpolation=cv2.INTER_LINEAR)
     M = camera.T_cam_world @ T
     to_plane = np.linalg.inv(M[:3, [0, 1, 3]])
     at = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1) @ to_plane.T
@@ -150,6 +152,13 @@ def drawn(camera: Camera, rays: Float, T: Float, board: Board, picture: AnyArray
     size = (columns.stop - columns.start, rows.stop - rows.start)
     image[rows, columns] = cv2.resize(parts, size, interpolation=cv2.INTER_AREA)
     return image
+
+
+def shortest_square(camera: Camera, T: Float, board: Board) -> float:
+    """The shortest side of a square in the image, px, at least 1: the picture must not be drawn coarser than it is."""
+    grid = camera.project(se3.apply(T, board.points))[0].reshape(board.rows - 1, board.columns - 1, 2)
+    sides = [np.linalg.norm(np.diff(grid, axis=k), axis=-1).min() for k in range(2)]
+    return max(1.0, float(min(sides)))
 
 
 def where_paper(camera: Camera, T: Float, board: Board) -> tuple[slice, slice]:

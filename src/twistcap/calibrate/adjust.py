@@ -24,7 +24,7 @@ from twistcap.terms.coordinates import BlockGaussian
 
 _REACHES = (60.0, 20.0, 6.0)  # px: a wrong start is still within the first, most wrong points are beyond the last
 _REACH, _KEPT = 4.0, 4.0  # standard deviations: of the robust loss; of the points that are kept for the last fit
-_SHARPEST = 0.01  # px; no point is found better than that: no board's picture and no print is more exact
+_SHARPEST = 0.007  # px; no point is found better than that: no board's picture and no print is more exact
 _RAYLEIGH = 1.1774  # median distance in the plane over the standard deviation of each coordinate
 _LATE = 2.0  # frames; standard deviation of a clock that is not known
 _PARABOLA = 0.041  # rms of t (1 − t²) / 6 for |t| < 1/2; see `_between_frames`

@@ -19,19 +19,24 @@ from scipy.ndimage import map_coordinates, spline_filter
 from twistcap.arrays import AnyArray, Bool, Float, Int, UInt8
 from twistcap.calibrate.board import Board
 
-_FINE, _PARTS = 64, 3  # pixels of the picture for each square; parts of an image's pixel, each way, that are drawn
+_FINE = 64  # pixels of the picture for each square
+_PARTS = (3, 6)  # parts of an image's pixel, each way, that are drawn: fewest, most
 _REACH, _MOST = 0.45, 24  # squares about a corner that are compared; px, at most
 _STEPS, _SETTLED = 12, 1e-3  # at most; px by which corners may still move
 _STEP = 1.0  # px, at most
 _FITS = 0.8  # correlation of image and picture about a corner
 _NEAR = 0.25  # squares from where it was looked for
 _FEWEST = 20  # px to compare
+_LEAST = 4  # corners that make a homography
 _SURE = 0.1  # px, standard deviation
 _NEIGHBOURS = 4  # that say where a missing corner is
+_ROUNDS, _DRAWN_WELL = 3, 0.02  # at most; px by which the homography of the last one may be off
 
 
 def refined(grey: UInt8, board: Board, ids: Int, pixels: Float, width: float) -> tuple[Int, Float]:
     """Ids and pixels of all corners of a board that an image shows.
+
+    A picture that is drawn a little turned or too large pulls corners aside; so it is drawn again by those it found.
 
     Args:
         grey: (H, W).
@@ -39,11 +44,21 @@ def refined(grey: UInt8, board: Board, ids: Int, pixels: Float, width: float) ->
         ids, pixels: corners that were found (N,), (N, 2), six or more.
         width: of the image's edges there, px; see `edge_width`.
     """
-    plane = board.points[:, :2]
-    H: Any = cv2.findHomography(plane[ids], pixels)[0]
-    if H is None or not np.isfinite(width):  # no edge was near the corners that were found
-        return ids, pixels
-    corners = _through(H, plane)
+    plane, last = board.points[:, :2], np.full((len(board.points), 2), np.inf)
+    for _ in range(_ROUNDS):
+        H: Any = cv2.findHomography(plane[ids], pixels)[0] if len(ids) >= _LEAST else None
+        if H is None or not np.isfinite(width):  # no edge was near the corners that were found
+            break
+        corners = _through(H, plane)
+        if np.abs(corners - last).max() < _DRAWN_WELL:
+            break
+        ids, pixels, last = *_moved(grey, board, H, ids, pixels, width), corners
+    return ids, pixels
+
+
+def _moved(grey: UInt8, board: Board, H: Float, ids: Int, pixels: Float, width: float) -> tuple[Int, Float]:
+    """Those that fit of all corners, and their pixels; the picture is drawn by one homography."""
+    corners = _through(H, board.points[:, :2])
     start = corners + _shifts(corners, ids, pixels - corners[ids])
     inside = np.flatnonzero(np.all((start >= 0.0) & (start < grey.shape[::-1]), axis=1)).astype(np.int32)
     if not len(inside):
@@ -125,7 +140,7 @@ def _windows(
     grey: UInt8, board: Board, H: Float, ids: Int, corners: Float, start: Float, width: float
 ) -> _Windows:  # fmt: skip
     plane = board.points[ids, :2]
-    side = board.square * _scale(H, plane)  # (N,) px
+    side = board.square * np.sqrt(np.abs(np.linalg.det(_slopes(H, plane))))  # (N,) px
     reach = int(np.ceil(min(float(_MOST), np.sqrt(2.0) * _REACH * float(side.max()))))
     x, y = (p.reshape(len(start), -1) for p in _about(start, reach))
     to_plane = np.asarray(np.linalg.inv(H), np.float64)
@@ -163,14 +178,15 @@ def _drawn(board: Board, H: Float, origin: Float, size: AnyArray, width: float) 
     """The board in a part of the image, and its slopes by rows and columns, as coefficients of splines."""
     to_plane = np.diag([board.square / _FINE, board.square / _FINE, 1.0])
     to_plane[:2, 2] = 0.5 * board.square / _FINE  # a pixel's middle is at a whole number
-    finer = np.diag([_PARTS, _PARTS, 1.0])
-    finer[:2, 2] = 0.5 * (_PARTS - 1)
+    parts = _parts(board, H)
+    finer = np.diag([parts, parts, 1.0])
+    finer[:2, 2] = 0.5 * (parts - 1)
     shifted = np.eye(3)
     shifted[:2, 2] = -origin
-    parts = cv2.warpPerspective(
-        board.image(_FINE), finer @ shifted @ H @ to_plane, tuple(_PARTS * size), borderValue=128.0
+    shown = cv2.warpPerspective(
+        board.image(_FINE), finer @ shifted @ H @ to_plane, tuple(parts * size), borderValue=128.0
     )  # fmt: skip
-    picture = cv2.resize(parts.astype(np.float64), tuple(size), interpolation=cv2.INTER_AREA)
+    picture = cv2.resize(shown.astype(np.float64), tuple(size), interpolation=cv2.INTER_AREA)
     sigma = np.sqrt(max(width * width / (2.0 * np.pi) - 1.0 / 3.0, 0.1))  # slopes over two pixels make edges wider
     picture = cv2.GaussianBlur(picture, (0, 0), sigma)
     down, across = np.gradient(picture)
@@ -184,11 +200,16 @@ def _through(H: Float, points: Float) -> Float:
     return out[..., :2] / out[..., 2:]
 
 
-def _scale(H: Float, points: Float) -> Float:
-    """(N,) px for each m of a plane at some of its points: the root of the area's."""
+def _parts(board: Board, H: Float) -> int:
+    """Parts of a pixel, each way, so many that no pixel of the board's picture is passed over where it is shortest."""
+    shortest = board.square * float(np.linalg.svd(_slopes(H, board.points[:, :2]), compute_uv=False).min())
+    return int(np.clip(np.ceil(_FINE / max(shortest, 1.0)), *_PARTS))
+
+
+def _slopes(H: Float, points: Float) -> Float:
+    """(N, 2, 2) px for each m of a plane at some of its points, along the plane's axes."""
     a, b = np.array([1e-4, 0.0]), np.array([0.0, 1e-4])
-    across, down = (_through(H, points + d) - _through(H, points - d) for d in (a, b))
-    return np.sqrt(np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0])) / 2e-4
+    return np.stack([_through(H, points + d) - _through(H, points - d) for d in (a, b)], axis=1) / 2e-4
 
 
 def _shifts(corners: Float, ids: Int, found: Float) -> Float:
