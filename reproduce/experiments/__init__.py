@@ -2,7 +2,7 @@
 
 from reproduce.arms import Arm, Comparison, Experiment, Findings, Shot, Trace
 from reproduce.experiments.acrobatics import D7
-from reproduce.experiments.another_renderer import RENDERER, RENDERER_PAIRS
+from reproduce.experiments.another_renderer import RENDERER, RENDERER_PAIRS, RENDERER_STARTS
 from reproduce.experiments.body_fit import B1
 from reproduce.experiments.body_models import B2
 from reproduce.experiments.brightness_walks import T1, T2, T3, T_EM
@@ -31,7 +31,8 @@ from reproduce.experiments.unaided import UNAIDED
 EXPERIMENTS: tuple[Experiment, ...] = (
     B1, B2, C1, C2, C3, C4, C5, C6, D1, D1_SPEED, D1_OTHER, D2, D3, D3_OTHERS, D4, D5, D6, D7, T1, T2, T3, T_EM,
     REFINE, REFINE_WALK, CLICKS, KEYVIEWS, FLOW, HIDDEN_FOREARMS, TEXTURE, MOTION_PREDICTION,
-    RECORDING, CHAPTER, REAL_GAP, REAL_FAULTS, SAGITTAL, UNAIDED, RENDERER, RENDERER_PAIRS, FAULTS,
+    RECORDING, CHAPTER, REAL_GAP, REAL_FAULTS, SAGITTAL, UNAIDED, RENDERER, RENDERER_PAIRS,
+    RENDERER_STARTS, FAULTS,
 )  # fmt: skip
 
 __all__ = ["EXPERIMENTS", "FAULTS", "Arm", "Comparison", "Experiment", "Findings", "Shot", "Trace"]

@@ -5,14 +5,15 @@ The captures `blender_*` have their truth. Each is tracked with the exact body, 
 pictures as they are, each other seed adds its own noise of 1.5 grey levels.
 
     TWISTCAP_DATA=... python -m reproduce renderer --seeds 0-7
+    TWISTCAP_DATA=... python -m reproduce renderer-starts      # the first pose from the images alone
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from itertools import product
+from itertools import islice, product
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +27,15 @@ from twistcap.adjust.body_fit import Take, fit_body
 from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Posed
 from twistcap.build import build
+from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate import Row, row
 from twistcap.evaluate.metrics import LOST_FRAME_MM, distances_mm, within_sigmas, without_offset
 from twistcap.hindsight import Hindsight
-from twistcap.io.recording import Recording, open_recording, rig_of, views_of
-from twistcap.io.session import load_session
+from twistcap.io.recording import Recording, body_of, floor_of, open_recording, rig_of, views_of
+from twistcap.io.session import Session, load_session
+from twistcap.io.unaided import found_unaided
+from twistcap.io.video import Views
 from twistcap.track import Tracker
 
 CLIPS, BODIES = ("run", "kick", "spin"), {"exact": "glb.toml", "humanoid": "humanoid.toml"}
@@ -40,6 +44,7 @@ JOINTS = tuple(f"{joint}_{side}" for joint in ("hip", "knee", "ankle", "shoulder
 CAMERAS = ("cam01", "cam02", "cam03", "cam04")
 PAIRS = tuple(zip(CAMERAS, (*CAMERAS[1:], CAMERAS[0]), strict=True))
 NOISE = 1.5  # grey levels
+AFTER, WITHIN_MM = 10, 30.0  # frames after which joints tell whether a first pose was right
 SOON = 5  # frames within which a lost stretch should be flagged
 
 Subject = tuple[str, str, tuple[str, ...]]
@@ -72,10 +77,25 @@ def tracked(subject: Subject, seed: int) -> Tracked:
     recording, path = _subject(folder, body)
     session = load_session(path, {"cameras.use": list(cameras)} if cameras != CAMERAS else {})
     views = views_of(session, rig_of(session))
+    return _from_first_pose(recording, session, views, noisy(views, seed))
+
+
+def started(clip: str, body: str) -> Tracked:
+    """Eleven frames from a first pose that the images alone have told. Raises InputError where it is refused."""
+    recording, path = _subject(data_file(f"blender_{clip}"), body)
+    session = load_session(path)
+    views = views_of(session, rig_of(session))
+    person = recording.body if body == FITTED else body_of(session)  # not at the lengths that keypoints say
+    proof = found_unaided(session, person, views, floor_of(session))
+    recording = replace(recording, body=person, first_pose=proof.first)
+    return _from_first_pose(recording, session, views, islice(views, AFTER + 1))
+
+
+def _from_first_pose(recording: Recording, session: Session, views: Views, frames: Iterable[Frame]) -> Tracked:
     tracker = Tracker(build(recording.body, views.image_rig, session.tracker_settings))
     tracker.start(recording.first_pose, recording.first_time)
-    estimates = list(Hindsight(tracker).through(noisy(views, seed)))
-    with np.load(folder / "truth.npz") as truth:
+    estimates = list(Hindsight(tracker).through(frames))
+    with np.load(Path(session.source).parent / "truth.npz") as truth:
         places = dict(zip(truth["names"], truth["X"].transpose(1, 0, 2), strict=True))
     return _against(recording, estimates, np.stack([places[joint] for joint in JOINTS], axis=1))
 
@@ -164,7 +184,37 @@ class AnotherRenderer:
         return Findings(rows, "", ())
 
 
-RENDERER = AnotherRenderer()
+@dataclass(frozen=True)
+class Starts:
+    """The experiment; see `Experiment`."""
+
+    id: str = "renderer-starts"
+    says: str = "the first pose of these people from the images alone: joints after ten frames"
+
+    def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
+        """Rows of every clip and body; seeds change nothing. A first pose that is refused has NaN.
+
+        Raises:
+            InputError: where TWISTCAP_DATA does not have the captures.
+        """
+        del seeds, out
+        data_file("blender_run")
+        rows: list[Row] = []
+        for clip, body in product(CLIPS, (*BODIES, FITTED)):
+            case = f"{self.id} {clip}, {body}"
+            progress(case)
+            try:
+                raw = started(clip, body).raw
+            except InputError:
+                raw = np.full((AFTER + 1, 1), np.nan)
+            rows += [
+                row(case, "joints in the first frame", float(raw[0].mean()), "mm"),
+                row(case, "joints after ten frames", float(raw[AFTER].mean()), "mm", at_most=WITHIN_MM),
+            ]
+        return Findings(rows, "", ())
+
+
+RENDERER, RENDERER_STARTS = AnotherRenderer(), Starts()
 RENDERER_PAIRS = replace(
     RENDERER, id="renderer-pairs", says="the same in each pair of neighbouring cameras", subjects=TWO
 )

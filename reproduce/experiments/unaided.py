@@ -32,7 +32,7 @@ from twistcap.studio.scene import default_body
 MOTIONS = ("walk", "run", "jog", "jump", "kick", "punch", "spin", "roll")
 VIEWS = (4, 3)
 FRAMES, FPS = 60, 30.0
-AFTER, WITHIN_MM = 10, 20.0  # frames after which the mean joint error tells whether a start was taken up
+AFTER, WITHIN_MM = 10, 20.0  # the frame whose mean joint error tells whether a start was taken up
 _PICTURES = 25
 
 
@@ -42,7 +42,7 @@ class Start:
 
     Attributes:
         motion, views, seed: what was filmed.
-        error_mm: mean joint error after ten frames; NaN where the start was refused.
+        error_mm: mean joint error in the tenth frame after the first; NaN where the start was refused.
     """
 
     motion: str
@@ -79,15 +79,15 @@ def proved(scene: Capture, frames: Sequence[Frame]) -> Proof:
 
 
 def started(motion: str, views: int, seed: int) -> Start:
-    """Find the first pose, and track from it."""
+    """Find the first pose, and track from it: all frames, as users do, for later ones tell which way a limb went."""
     scene = scene_of(motion, views, seed)
     frames = list(scene.frames())
     try:
         first = proved(scene, frames).first
     except InputError:
         return Start(motion, views, seed, np.nan)
-    *_, last = tracked(frames[: AFTER + 1], build(scene.body, scene.rig), first)
-    return Start(motion, views, seed, float(joint_errors_mm(scene, scene.body, [last.pose], [last.index]).mean()))
+    then = list(tracked(frames, build(scene.body, scene.rig), first))[AFTER]
+    return Start(motion, views, seed, float(joint_errors_mm(scene, scene.body, [then.pose], [then.index]).mean()))
 
 
 def starts_of_seed(seed: int) -> list[Start]:

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from twistcap import se3
-from twistcap.adjust.watch import CameraWatch, Watched
+from twistcap.adjust.watch import KNOCK, CameraWatch, Watched
 from twistcap.build import build
 from twistcap.estimate import Frame
 from twistcap.io.state import from_bytes, to_bytes
+from twistcap.predict.inertia import INFLATION
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Tracker
 
@@ -59,3 +60,25 @@ def test_a_camera_that_was_turned_about_its_viewing_axis_is_suspected(scene: Cap
 def test_nothing_seen_says_nothing(scene: Capture) -> None:
     nothing = CameraWatch().start(scene.body, scene.rig)
     assert not nothing.out_of_step().any() and not nothing.elsewhere().any()
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "sigmas", "named"),
+    [
+        ((0.02, 0.2, 0.03, 0.02), (0.5, 4.0, 1.0, 2.0), [1]),  # a little, but surely, and more surely than any other
+        ((0.02, 0.2, 0.03, 0.02), (0.5, 4.0, 1.0, 5.0), []),
+        ((0.02, 0.2, 0.03, 0.02), (0.5, 2.5, 1.0, 2.0), []),
+        ((0.02, 0.1, 0.03, 0.02), (0.5, 4.0, 1.0, 2.0), []),
+        ((0.02, 0.4, 0.03, 0.02), (0.5, 2.5, 1.0, 3.0), [1]),  # clearly
+        ((0.10, 0.2, 0.09, 0.08), (0.5, 4.0, 1.0, 2.0), []),  # as all do: the body does not fit
+    ],
+)
+def test_a_camera_stands_elsewhere_by_much_or_surely(
+    scene: Capture, turn_deg: tuple[float, ...], sigmas: tuple[float, ...], named: list[int]
+) -> None:
+    turn = np.deg2rad(turn_deg)
+    information, step = np.zeros((4, 6, 6)), np.zeros((4, 6))
+    information[:, 2, 2], step[:, 2] = (INFLATION * np.array(sigmas) / turn) ** 2, turn
+    gradient = np.einsum("cij,cj->ci", information + np.diag((INFLATION / KNOCK) ** 2), step)
+    seen = replace(CameraWatch().start(scene.body, scene.rig), places=(information, gradient))
+    assert np.flatnonzero(seen.elsewhere()).tolist() == named

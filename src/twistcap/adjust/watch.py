@@ -22,6 +22,7 @@ _KEPT = 0.9  # of what was seen of a camera's place, from lesson to lesson: a kn
 _TURNED = np.deg2rad(0.3)  # by which one step must turn a camera; it finds about a third of a turn
 _STANDS_OUT = 3.0  # times the turn of most others: a body that does not fit turns all cameras alike
 _SURE = 2.0  # standard deviations as claimed, by which a camera must stand elsewhere
+_TURNED_LITTLE, _SURER = np.deg2rad(0.15), 3.5  # enough in the camera that is the surest: a roll moves few contours
 KNOCK = np.repeat([np.deg2rad(6.0), 0.02], 3)
 """(6,) how far a camera may stand from where it was calibrated, rad and m: a knock turns it far and moves it little."""
 
@@ -72,7 +73,9 @@ class Watched:
         sigmas = np.sqrt(np.maximum(np.sum(step * (information @ step), axis=(1, 2)), 0.0)) / INFLATION
         turned = np.linalg.norm(step[:, :3, 0], axis=1)
         usual = np.array([np.median(np.delete(turned, c)) for c in range(len(turned))])
-        return (sigmas > _SURE) & (turned > np.maximum(_TURNED, _STANDS_OUT * usual))
+        clearly = (sigmas > _SURE) & (turned > _TURNED)
+        slightly = (sigmas > _SURER) & (sigmas >= sigmas.max()) & (turned > _TURNED_LITTLE)
+        return (clearly | slightly) & (turned > _STANDS_OUT * usual)
 
 
 @dataclass(frozen=True)
