@@ -71,6 +71,16 @@ def test_the_session_loads_and_says_what_is_missing(recorded: Path, capsys: pyte
     assert str(recorded) not in text  # paths are relative: the folder may move
 
 
+def test_what_is_refused_late_leaves_the_folder_as_it_was(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, wrong = recorded / "mine" / "session.toml", ("--up", "-z")  # all cameras would stand underground
+    assert new(recorded, recorded / "videos", extra=wrong) == 2
+    assert "underground" in capsys.readouterr().err and not path.parent.exists()
+    path.parent.mkdir()
+    path.write_text("mine")
+    assert new(recorded, recorded / "videos", extra=(*wrong, "--force")) == 2
+    assert path.read_text() == "mine"
+
+
 def test_one_camera_is_not_enough(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert new(recorded, recorded / "videos" / "cam1.mp4") == 0
     told = capsys.readouterr().err

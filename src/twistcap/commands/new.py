@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, cast, get_args
@@ -118,9 +120,10 @@ def _written(draft: Any, path: Path, stature: float | None) -> _Written:
     from twistcap.io.session import load_session
 
     terminal.output_folder(path.parent)
-    path.write_text(session_lines(draft, path.parent, stature), encoding="utf-8")
-    session = load_session(path)
-    views_of(session, rig_of(session))
+    with _as_it_was_if_refused(path):
+        path.write_text(session_lines(draft, path.parent, stature), encoding="utf-8")
+        session = load_session(path)
+        views_of(session, rig_of(session))
     lacks, report, has_keypoints = missing(draft, path, stature), None, bool(draft.keypoints or draft.detector)
     if has_keypoints:
         try:
@@ -129,6 +132,19 @@ def _written(draft: Any, path: Path, stature: float | None) -> _Written:
         except InputError as error:
             lacks.append(f"A first pose: the keypoints give none ({str(error).rstrip('.')}).")
     return _Written(path, findings(draft), lacks, next_steps(draft, path, has_keypoints and report is None), report)
+
+
+@contextmanager
+def _as_it_was_if_refused(path: Path) -> Iterator[None]:
+    before = path.read_bytes() if path.exists() else None
+    try:
+        yield
+    except InputError:
+        if before is None:
+            path.unlink(missing_ok=True)
+        else:
+            path.write_bytes(before)
+        raise
 
 
 def _tell(made: _Written, json: bool) -> None:
