@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -135,7 +135,7 @@ def _written(draft: Any, path: Path, stature: float | None) -> _Written:
 
 
 @contextmanager
-def _as_it_was_if_refused(path: Path) -> Iterator[None]:
+def _as_it_was_if_refused(path: Path) -> Generator[None]:
     before = path.read_bytes() if path.exists() else None
     try:
         yield
