@@ -79,17 +79,21 @@ def _derivatives(step: Float) -> tuple[Float, Float]:
     return start, end
 
 
-def design_effect(sights: Iterable[tuple[PointTerm, Posed]]) -> float:
+def design_effect(sights: Iterable[tuple[PointTerm, Posed]], alike: bool = False) -> float:
     """Factor by which the contours' information is overcounted, 1 or more: points of one part err together.
 
-    See `twistcap.adjust.refine.measure.design_effect`; each image is by itself here.
+    See `twistcap.adjust.refine.measure.design_effect`; each image is by itself here. With `alike`, a part may also err
+    in all images alike, as a body that does not fit does.
     """
-    squares, information = 0.0, 0.0
+    apart, information, sums = 0.0, 0.0, np.zeros(0)
     for term, posed in sights:
         _, points, rows = term.rows(posed)
         group = np.resize(points.part, len(rows.residual)) * 8 + (rows.gradient > 0.0) @ [1, 2, 4]
-        squares += float(np.sum(np.bincount(group, rows.weight * rows.residual) ** 2))
+        own = np.bincount(group, rows.weight * rows.residual, minlength=len(sums))
+        apart += float(np.sum(own**2))
+        sums = own + np.pad(sums, (0, len(own) - len(sums)))
         information += float(rows.weight.sum())
+    squares = max(apart, float(np.sum(sums**2))) if alike else apart
     return max(1.0, squares / max(information, 1e-12) / INFLATION**2)
 
 

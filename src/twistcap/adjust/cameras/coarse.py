@@ -21,6 +21,7 @@ from twistcap.search.backdrop import Backdrop, small_camera, small_features
 _FARTHEST = np.deg2rad(12.0)  # by which a camera may have been turned
 _NEAR = 1.5  # px of the small images, within which contours find the rest
 _CLIP = (-2.0, 2.5)  # nats that one pixel can say
+_LEAST = 0.5  # nats for each pixel of the body; below that nothing stands out there, as somebody who never moves
 
 
 def turned_towards(
@@ -30,7 +31,7 @@ def turned_towards(
 
     The sum over all frames of what each pixel says, under the body's silhouette, is computed for all shifts of the
     image at once; the best shift is taken as a turn about the camera's centre. A smaller turn than contours can find
-    is none.
+    is none; nor is one where nothing stands out.
 
     Args:
         camera: pinhole of the images, as calibrated.
@@ -43,13 +44,14 @@ def turned_towards(
     still = scenery.stills[0]
     if still is None:
         return camera
-    farthest, total = int(still.camera.K[0, 0] * np.tan(_FARTHEST)), np.zeros((0, 0))
+    farthest, total, area = int(still.camera.K[0, 0] * np.tan(_FARTHEST)), np.zeros((0, 0)), 0.0
     for image, at in zip(pictures, posed, strict=True):
         if image is not None:
             nats = still.standing_out(small_features(image, still.camera.size, channels), _CLIP)
-            found = _by_shift(nats, _silhouette(at, still.camera, farthest), farthest)
+            body = _silhouette(at, still.camera, farthest)
+            found, area = _by_shift(nats, body, farthest), area + float(body.sum())
             total = found if not total.size else total + found
-    if not total.size:
+    if not total.size or total.max() < _LEAST * area:
         return camera
     row, column = np.unravel_index(int(np.argmax(total)), total.shape)
     shift = np.array([float(column) - farthest, float(row) - farthest])

@@ -204,7 +204,7 @@ def _settled(
         problem = CameraProblem(body, contours, x.places, given, known, effect)
         solution = minimise(problem, x, _STEPS, _DAMPING)
         steps = [se3.log(solution.x.places[c] @ np.linalg.inv(x.places[c])) for c in wrong]
-        x, effect = solution.x, design_effect(problem.seen(solution.x))
+        x, effect = solution.x, design_effect(problem.seen(solution.x), alike=True)
         moved.append(float(np.abs(steps).max()))
         tell.rounds += 1
         tell(f"round {len(moved)} of at most {_ROUNDS}", 0)
@@ -229,7 +229,8 @@ class CameraProblem:
     far each stands from where it was `given` (6,), rad and m, and smooth motion.
 
     Contours count at their own noise. What is claimed of them is `INFLATION` times that, and the root of the design
-    `effect`; so the prior is made narrower by as much.
+    `effect`; so the prior is made narrower by as much. Where a body does not fit, it errs in all frames alike; somebody
+    who stands and does not turn then tells little of where a camera is.
     """
 
     def __init__(
