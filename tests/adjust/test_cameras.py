@@ -12,8 +12,10 @@ from support.walks import in_a_circle
 from twistcap import se3
 from twistcap.adjust.cameras import agreement_at, holds_from, mended_cameras, turned_towards
 from twistcap.adjust.cameras.fine import CameraProblem, Standpoints, turned_by_background
+from twistcap.adjust.sequence import design_effect
 from twistcap.adjust.watch import KNOCK
 from twistcap.body import Posed
+from twistcap.build import build
 from twistcap.camera import Camera, Rig
 from twistcap.camera.bump import bumped
 from twistcap.estimate import Estimate, Frame
@@ -22,6 +24,7 @@ from twistcap.solve import Arrow, BlockProblem, CameraBlock, PoseTrack, Variable
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.mismatch import fattened
 from twistcap.terms import GaussianTerm, OnPose, PointNormalTerm, ReprojectionTerm
+from twistcap.track import Tracker
 
 Array = np.ndarray
 FINE, LATE, BUMPED = 5, 2, 3  # moments between two frames; by how many of them the bumped camera is late; which it is
@@ -128,6 +131,27 @@ def test_a_body_that_is_too_thick_and_lenses_that_are_wrong_do_not_shift_a_camer
     found = mended_cameras(lambda: frames, fattened(scene.body, 1.04), rig, given, [1])
     moved = se3.log(found.places[1] @ np.linalg.inv(scene.rig[1].T_cam_world))
     assert np.linalg.norm(moved[3:]) < 0.012
+
+
+def test_somebody_who_stands_does_not_tell_that_a_right_camera_was_bumped() -> None:
+    """The body does not fit, in all frames alike; and nobody stands out of a background that has always held them."""
+    scene = capture(StudioConfig(seed=3, views=4, frames=24, condition="mismatch"))
+    scene = replace(scene, true_poses=scene.true_poses[:1] * 24)
+    frames = list(scene.frames())
+    tracker = Tracker(build(scene.body, scene.rig))
+    tracker.start(scene.first_pose, 0.0)
+    found = mended_cameras(lambda: frames, scene.body, scene.rig, [tracker.step(f) for f in frames], [3])
+    off = se3.log(found.places[3] @ np.linalg.inv(scene.true_rig[3].T_cam_world))
+    assert np.abs(off / found.sigmas[3]).max() < 2.5 and np.linalg.norm(off[:3]) < np.deg2rad(0.4)
+
+
+def test_contours_that_err_in_all_frames_alike_count_as_fewer() -> None:
+    scene = capture(StudioConfig(seed=2, views=3, frames=6))
+    rng, posed = np.random.default_rng(1), [Posed(scene.body, pose) for pose in scene.true_poses]
+    noisy = [(some_contour(scene, t, 0, rng), posed[t]) for t in range(6)]
+    outward = [(replace(term, target=term.target + 3.0 * term.normal), at) for term, at in noisy]
+    assert design_effect(noisy, alike=True) == pytest.approx(design_effect(noisy), abs=0.5)
+    assert design_effect(outward, alike=True) > 3.0 * design_effect(outward)
 
 
 def test_a_camera_that_was_bumped_tells_though_another_is_looked_for() -> None:
