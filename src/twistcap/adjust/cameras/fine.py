@@ -34,9 +34,9 @@ from twistcap.solve.blocks import PoseTrack
 from twistcap.terms import PointNormalTerm
 from twistcap.terms.accumulate import normal_equations
 
-_ROUNDS = 14
+_ROUNDS = 40
 _COARSE_ROUNDS = 3
-_SETTLED = 2e-5  # rad and m by which the cameras may still move in the last round
+_SETTLED = 0.05  # standard deviations as claimed, by which the cameras may still move in the last round
 _LONGEST = 0.05  # rad and m that a camera moves in one step
 _DAMPING = 1e-3
 _STEPS = 3  # of the solver in each round
@@ -63,7 +63,7 @@ class MendedCameras:
             and as mended.
         others: that share in the other cameras, all frames together.
         turned: by number, rad by which each of the others had to be turned to agree.
-        moved: rad and m by which the cameras moved in each round.
+        moved: standard deviations by which the cameras moved in each round.
         poses: of the frames.
     """
 
@@ -197,29 +197,30 @@ def _settled(
     `stood` is where the cameras probably stand, and how far they may be from there.
     """
     body, moved, effect, (given, known) = images.body, list[float](), 1.0, stood
+    believed = [c for c in given if c not in wrong]
     while True:
         coarse, images = len(moved) < _COARSE_ROUNDS, images.standing_at(x.places)
         measured = images.contours([[Posed(body, p) for p in x.track.poses]] * images.cameras, coarse)
         contours = cast(Sequence[Sequence[PointNormalTerm | None]], measured)  # which the direct cue makes
         problem = CameraProblem(body, contours, x.places, given, known, effect)
         solution = minimise(problem, x, _STEPS, _DAMPING)
-        steps = [se3.log(solution.x.places[c] @ np.linalg.inv(x.places[c])) for c in wrong]
-        x, effect = solution.x, design_effect(problem.seen(solution.x), alike=True)
-        moved.append(float(np.abs(steps).max()))
+        steps = {c: se3.log(solution.x.places[c] @ np.linalg.inv(x.places[c])) for c in wrong}
+        x, effect = solution.x, design_effect(problem.seen(solution.x, believed), alike=True)
+        sigma = claimed_sigma(solution.system, effect)
+        sigmas = {c: sigma[6 * c : 6 * c + 6] for c in wrong}
+        moved.append(max(float(np.abs(steps[c] / sigmas[c]).max()) for c in wrong))
         tell.rounds += 1
         tell(f"round {len(moved)} of at most {_ROUNDS}", 0)
         if len(moved) >= _ROUNDS or (not coarse and moved[-1] < _SETTLED):
             break
-    sigma = claimed_sigma(solution.system, effect)
-    sigmas = {c: sigma[6 * c : 6 * c + 6] for c in wrong}
     posed = [Posed(body, pose) for pose in x.track.poses]
     images, places = images.standing_at(x.places), {c: x.places[c] for c in wrong}
-    rest = images.agreeing(posed, [c for c in given if c not in wrong])
+    rest = images.agreeing(posed, believed)
     after, as_given.colours = images.agreeing(posed, wrong), images.colours
     before = as_given.agreeing(posed, wrong)
     before = {c: zero_beside(before[c], after[c]) for c in wrong}
     others = float(np.nanmean(np.stack(tuple(rest.values()))))
-    turns = {c: se3.log(x.places[c] @ np.linalg.inv(given[c]))[:3] for c in given if c not in wrong}
+    turns = {c: se3.log(x.places[c] @ np.linalg.inv(given[c]))[:3] for c in believed}
     turned = {c: float(np.linalg.norm(turn)) for c, turn in turns.items()}
     return MendedCameras(places, sigmas, before, after, others, turned, tuple(moved), x.track)
 
@@ -244,7 +245,7 @@ class CameraProblem:
 
     def energies(self, x: Standpoints) -> dict[str, float]:
         """By term."""
-        contour = sum(term.energy(posed) for term, posed in self.seen(x))
+        contour = sum(term.energy(posed) for _, _, term, posed in self._sights(x))
         prior = sum(0.5 * float(np.sum((self._off(x, c) / self.prior[c]) ** 2)) for c in self.order)
         sizes = 0.5 * float(np.sum((self._resized(x) / self.sizes) ** 2))
         return {"contour": contour, "camera": prior, "sizes": sizes, **self.motion.energies(x.track)}
@@ -277,9 +278,9 @@ class CameraProblem:
         longer = {c: x.zooms[c] + float(zooms[k]) for c, k in self.order.items()}
         return Standpoints(x.track.retract(poses), places, longer, x.outward + float(step[-1]))
 
-    def seen(self, x: Standpoints) -> Iterator[tuple[PointNormalTerm, Posed]]:
-        """Each term, of the camera as it stands, and the body in its frame."""
-        return ((term, posed) for _, _, term, posed in self._sights(x))
+    def seen(self, x: Standpoints, cameras: Sequence[int]) -> Iterator[tuple[PointNormalTerm, Posed]]:
+        """Each term of some cameras, as these stand, and the body in its frame."""
+        return ((term, posed) for camera, _, term, posed in self._sights(x) if camera in cameras)
 
     def _sights(self, x: Standpoints) -> Iterator[tuple[int, int, PointNormalTerm, Posed]]:
         for t, pose in enumerate(x.track.poses):
