@@ -191,6 +191,30 @@ def test_easymocap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert told["missing"] == [] and max(told["first_pose"]["median_px"].values()) < 3
 
 
+def test_a_calibration_that_is_there_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Unless it is the same, or --force is given and nothing is refused later: here sizes are."""
+    project, folder = tmp_path / "project", tmp_path / "s"
+    write_cameras(RIG, project, "easymocap")
+    for name in RIG.names:
+        video(project / "videos" / f"{name}.mp4")
+    asked = ("new", folder, "--project", project)
+    assert run(*asked) == 0
+    written = (folder / "Calib.toml").read_text()
+    (folder / "session.toml").unlink()
+    assert run(*asked) == 0
+    (folder / "session.toml").unlink()
+    (folder / "Calib.toml").write_text("mine")
+    told = refusal(capsys, *asked)
+    assert "Calib.toml exists, and is not the project's calibration" in told and "--force" in told
+    write_cameras(Rig(tuple(replace(c, size=(c.size[0] + 2, c.size[1])) for c in RIG)), project, "easymocap")
+    assert "size" in refusal(capsys, *asked, "--force")
+    assert (folder / "Calib.toml").read_text() == "mine" and len([*folder.iterdir()]) == 1
+    assert "size" in refusal(capsys, "new", tmp_path / "fresh", "--project", project)
+    assert not (tmp_path / "fresh").exists()
+    write_cameras(RIG, project, "easymocap")
+    assert run(*asked, "--force") == 0 and (folder / "Calib.toml").read_text() == written
+
+
 def test_keypoints_that_are_not_read_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "calibration").mkdir()
     write_rig(RIG, tmp_path / "calibration" / "Calib.toml")

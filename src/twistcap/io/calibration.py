@@ -92,9 +92,14 @@ def write_rig(rig: Rig, path: str | Path, unit: Unit = "m", floor: bool = True) 
 
     `unit` is that of the translations, and `floor` whether z = 0 is known to be the floor.
     """
+    Path(path).write_text(rig_text(rig, unit, floor), encoding="utf-8")
+
+
+def rig_text(rig: Rig, unit: Unit = "m", floor: bool = True) -> str:
+    """What `write_rig` writes."""
     tables = [_table(camera, _TO_METRES[unit]) for camera in rig]
     metadata = f'[metadata]\nunit = "{unit}"\nadjusted = false\nerror = 0.0\n' + ("" if floor else "floor = false\n")
-    Path(path).write_text("\n".join([*tables, metadata]))
+    return "\n".join([*tables, metadata])
 
 
 def _camera(where: str, key: str, table: Mapping[str, Any], scale: float) -> Camera:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from twistcap.doors.text import read_json_table, read_text
 from twistcap.errors import InputError
-from twistcap.io.calibration import Unit, write_rig
+from twistcap.io.calibration import Unit, rig_text
 from twistcap.io.cameras import Asked, format_named
 from twistcap.io.cameras.axes import Up, axis_up, up_instead_of_z, with_z_up
 from twistcap.io.cameras.units import session_unit, toml_unit, unit_of
@@ -65,7 +65,8 @@ def found_project(folder: Path, trial: str | None = None) -> Project:
 
 
 def draft_project(project: Project, folder: Path, unit: str | None = None, up: Up | None = None) -> Draft:
-    """The draft of a session in `folder`; a calibration that a session cannot read is converted, into Calib.toml there.
+    """The draft of a session in `folder`; a calibration that a session cannot read is converted: `Draft.converted` is
+    to be written into Calib.toml there.
 
     `unit` and `up` are those of the calibration. Raises InputError as `draft_session`; where the axis that is up is not
     said and the images do not tell it, or videos and cameras cannot be paired.
@@ -87,12 +88,12 @@ def draft_project(project: Project, folder: Path, unit: str | None = None, up: U
     cameras = _paired(project, list(titles), rig.names)
     file: Path = project.calibration
     given: Unit | None = None
+    text: str | None = None
     if project.format == "toml":
         given, _ = toml_unit(file, session_unit(unit), "its path")
     else:
         file = folder / "Calib.toml"
-        folder.mkdir(parents=True, exist_ok=True)
-        write_rig(with_z_up(rig, found), file)
+        text = rig_text(with_z_up(rig, found), floor=project.floor_known)
         notes.append(f"Its calibration was converted: {file}.")
     draft = drafted(rig, {cameras[title]: path for title, path in titles.items()}, file, given)
     poses = _keypoints(project, draft.rig.names)
@@ -104,7 +105,7 @@ def draft_project(project: Project, folder: Path, unit: str | None = None, up: U
         notes.append(_unread(project))
     turned = found if project.format == "toml" else "z"
     said = turned if up or turned != "z" else None
-    draft = replace(draft, up=said, floor_known=project.floor_known, notes=tuple(notes))
+    draft = replace(draft, up=said, floor_known=project.floor_known, notes=tuple(notes), converted=text)
     return replace(draft, keypoints=poses, layout=project.layout)
 
 
