@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from support.cameras import ring
-from support.commands import document, refusal
+from support.commands import document, refusal, run
 from twistcap import se3
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.errors import InputError
@@ -201,7 +201,9 @@ def test_caliscope_keeps_the_numbers_of_cameras(tmp_path: Path, capsys: pytest.C
     ):
         named = Rig(tuple(replace(c, name=name) for c, name in zip(rig, names, strict=True)))
         write_cameras(named, tmp_path / "Calib.toml", "toml")
-        told = document(capsys, "convert", tmp_path / "Calib.toml", tmp_path / "a.toml", "--to", "caliscope")
+        told = document(
+            capsys, "convert", tmp_path / "Calib.toml", tmp_path / "a.toml", "--to", "caliscope", "--overwrite"
+        )
         read, _ = read_cameras(tmp_path / "a.toml")
         by_name = {c.name: c.centre for c in read}
         for camera, number in zip(named, numbers, strict=True):
@@ -279,6 +281,21 @@ def test_storages_refuse_what_grows(tmp_path: Path) -> None:
         read_storage(tmp_path / "a.yml")
 
 
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_files_that_are_there_are_kept(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_cameras(rig_with(LENSES.get(name, [-0.2, 0.08, 0.0, 0.0, 0.0])), tmp_path / "in.toml", "toml")
+    asked = ("convert", tmp_path / "in.toml", tmp_path / f"out{FORMATS[name].ending}", "--to", name, "--up", "z")
+    assert run(*asked) == 0
+    files = [file for file in asked[2].rglob("*") if file.is_file()] or [asked[2]]
+    for file in files[1:]:
+        file.unlink()
+    files[0].write_text("mine")
+    told = refusal(capsys, *asked)
+    assert f"{files[0]} exists; choose another place, or replace it with --overwrite." in told
+    assert files[0].read_text() == "mine" and not any(file.exists() for file in files[1:])
+    assert run(*asked, "--overwrite") == 0 and files[0].stat().st_size > 10 and all(file.exists() for file in files)
+
+
 def test_the_command_converts_and_tells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = rig_with([-0.2, 0.08, 0.0, 0.0, 0.0])
     write_cameras(rig, tmp_path / "a.qca.txt", "qualisys")
@@ -290,3 +307,7 @@ def test_the_command_converts_and_tells(tmp_path: Path, capsys: pytest.CaptureFi
         capsys, "convert", tmp_path / "a.qca.txt", tmp_path / "b" / "c", "--to", "projections", "--up", "z"
     )
     assert not (tmp_path / "b").exists()
+    strange = Rig((replace(rig[0], name="../x"), *rig.cameras[1:]))
+    write_cameras(strange, tmp_path / "a.qca.txt", "qualisys")
+    told = refusal(capsys, "convert", tmp_path / "a.qca.txt", tmp_path / "b" / "c", "--to", "opencv", "--up", "z")
+    assert "camera '../x': its name can be no file's" in told and not (tmp_path / "b").exists()

@@ -173,6 +173,13 @@ def output_file(path: Path, option: str, ending: str) -> None:
     output_folder(path.parent)
 
 
+def check_free(*paths: Path, overwrite: bool) -> None:
+    """Raises InputError for a file that is there already, unless it may be replaced."""
+    for path in paths:
+        if path.is_file() and not overwrite:
+            raise InputError(f"{path} exists; choose another place, or replace it with --overwrite.")
+
+
 def frame_range(text: str | None, option: str = "--frames") -> tuple[int, int] | None:
     """``10:20`` as frames 10 to 20, both included. Raises InputError where it reads otherwise."""
     if text is None:

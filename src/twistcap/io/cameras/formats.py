@@ -8,7 +8,7 @@ from pathlib import Path
 
 from twistcap.camera import Rig
 from twistcap.doors.text import read_text
-from twistcap.errors import InputError, check_choice, naming
+from twistcap.errors import InputError, check, check_choice, naming
 from twistcap.io.calibration import parsed_rig, says_unit, write_rig
 from twistcap.io.cameras.axes import Up, checked_up
 from twistcap.io.cameras.parts import Asked
@@ -135,6 +135,8 @@ def write_cameras(rig: Rig, path: Path, name: str) -> str:
     Raises InputError for a lens that the format cannot say, or a place that cannot be written.
     """
     kind = format_named(name)
+    for camera in rig.names if kind.folder else ():
+        check(f"camera {camera!r}", Path(camera).name == camera, "its name can be no file's; give it another in IN")
     try:
         kind.write(rig, path)
     except OSError as error:
