@@ -17,7 +17,7 @@ from support.commands import document, refusal, run
 from twistcap import se3
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.errors import InputError
-from twistcap.io.calibration import read_rig
+from twistcap.io.calibration import knows_floor, read_rig, write_rig
 from twistcap.io.cameras import FORMATS, Asked, format_of, read_cameras, write_cameras
 from twistcap.io.cameras.axes import axis_up, with_z_up
 from twistcap.io.number_pickle import read_number_pickle
@@ -279,6 +279,26 @@ def test_storages_refuse_what_grows(tmp_path: Path) -> None:
     (tmp_path / "a.yml").write_text("K: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 1., 2. ]\n")
     with pytest.raises(InputError, match=r"'K': it must hold 3 × 3 numbers"):
         read_storage(tmp_path / "a.yml")
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ((), "that is kept"),
+        (("--unit", "0.9"), "that is kept"),
+        (("--up", "-y"), "that is kept"),
+        (("--to", "easymocap"), "easymocap cannot say that, so set [cameras] floor = false in the session"),
+    ],
+)
+def test_a_floor_that_is_not_known_stays_so(
+    options: tuple[str, ...], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for known in (True, False):
+        write_rig(rig_with([0.0] * 5), tmp_path / "in.toml", floor=known)
+        out = tmp_path / ("out" if "--to" in options else "out.toml")
+        said = document(capsys, "convert", tmp_path / "in.toml", out, "--overwrite", *options)["statements"]
+        assert (f"The calibration does not know the floor: {told}." in said) is not known
+        assert "--to" in options or knows_floor(out) is known
 
 
 @pytest.mark.parametrize("name", list(FORMATS))

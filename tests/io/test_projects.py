@@ -91,6 +91,9 @@ def test_pose2sim(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert told["first_pose"]["stature_m"] == pytest.approx(1.75, abs=0.05)
     session, told = made(capsys, tmp_path / "Trial_2")  # in the trial's own folder
     assert session.first_pose.unaided and "Project of Pose2Sim" in " ".join(told["found"])
+    assert session.cameras.floor == 0.0
+    write_rig(RIG, tmp_path / "calibration" / "Calib_scene.toml", floor=False)
+    assert made(capsys, tmp_path / "Trial_2", "--force")[0].cameras.floor is False
 
 
 def test_25_points_without_a_name_are_said_to_be_body_25(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from twistcap.doors.text import read_json_table, read_text
 from twistcap.errors import InputError
-from twistcap.io.calibration import Unit, rig_text
+from twistcap.io.calibration import Unit, knows_floor, rig_text
 from twistcap.io.cameras import Asked, format_named
 from twistcap.io.cameras.axes import Up, axis_up, up_instead_of_z, with_z_up
 from twistcap.io.cameras.units import session_unit, toml_unit, unit_of
@@ -88,12 +88,16 @@ def draft_project(project: Project, folder: Path, unit: str | None = None, up: U
     cameras = _paired(project, list(titles), rig.names)
     file: Path = project.calibration
     given: Unit | None = None
+    floor = project.floor_known
     text: str | None = None
     if project.format == "toml":
         given, _ = toml_unit(file, session_unit(unit), "its path")
+        if floor and not knows_floor(file):
+            floor = False
+            notes.append("The calibration does not know the floor: floor = false is set.")
     else:
         file = folder / "Calib.toml"
-        text = rig_text(with_z_up(rig, found), floor=project.floor_known)
+        text = rig_text(with_z_up(rig, found), floor=floor)
         notes.append(f"Its calibration was converted: {file}.")
     draft = drafted(rig, {cameras[title]: path for title, path in titles.items()}, file, given)
     poses = _keypoints(project, draft.rig.names)
@@ -105,7 +109,7 @@ def draft_project(project: Project, folder: Path, unit: str | None = None, up: U
         notes.append(_unread(project))
     turned = found if project.format == "toml" else "z"
     said = turned if up or turned != "z" else None
-    draft = replace(draft, up=said, floor_known=project.floor_known, notes=tuple(notes), converted=text)
+    draft = replace(draft, up=said, floor_known=floor, notes=tuple(notes), converted=text)
     return replace(draft, keypoints=poses, layout=project.layout)
 
 
