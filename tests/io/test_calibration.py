@@ -65,6 +65,12 @@ def test_calibrations_of_other_programs_are_to_be_converted(name: str, tmp_path:
         read_rig(path)
 
 
+def test_a_folder_that_holds_a_calibration_is_no_other_program(calib: Path) -> None:
+    folder = calib.parent
+    with pytest.raises(InputError, match=rf"^calibration {re.escape(str(folder))} is a folder; name .*/Calib\.toml\.$"):
+        read_rig(folder)
+
+
 def test_real_file_agrees_with_opencv(shared_data: Path) -> None:
     rig = read_rig(shared_data / "balance_4view" / "Calib.toml")
     assert rig.names == ("cam01", "cam02", "cam03", "cam04")

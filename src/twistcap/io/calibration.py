@@ -48,6 +48,8 @@ def parsed_rig(path: Path, unit: Unit | None = None, key: str = _KEY) -> Rig:
     Raises InputError for a missing file, one of another program, and a missing, malformed, non-finite or impossible
     entry.
     """
+    if (inside := path / "Calib.toml").is_file():
+        raise InputError(f"calibration {path} is a folder; name {inside}.")
     if path.name.lower().endswith(_FOREIGN) or path.is_dir():
         raise _foreign(path)
     tables = read_toml(path, "calibration", f"check {key}")
