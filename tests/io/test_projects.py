@@ -15,6 +15,7 @@ from support.commands import document, refusal, run
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.camera import Rig
+from twistcap.errors import InputError
 from twistcap.io.calibration import read_rig, write_rig
 from twistcap.io.cameras import write_cameras
 from twistcap.io.cameras.axes import with_z_up
@@ -82,6 +83,8 @@ def test_pose2sim(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         for name in RIG.names:
             video(tmp_path / trial / "videos" / f"{name}.mp4")
     poses(tmp_path / "Trial_1" / "pose", "halpe_26", [f"{n}_json" for n in RIG.names])
+    with pytest.raises(InputError, match=r"has no trial 'T9'; it has Trial_1, Trial_2\."):
+        found_project(tmp_path, "T9")
     assert "Trial_1, Trial_2; choose one with --trial" in refusal(capsys, "new", tmp_path / "s", "--project", tmp_path)
     session, told = made(capsys, tmp_path / "s", "--project", tmp_path, "--trial", "Trial_1", "--stature", 1.75)
     table = session.first_pose.keypoints
@@ -261,6 +264,19 @@ def test_what_is_no_project_is_told(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "is no folder" in refusal(capsys, "new", tmp_path / "s", "--project", tmp_path / "none")
     (tmp_path / "synchronized_videos").mkdir()
     assert "camera_calibration.toml" in refusal(capsys, "new", tmp_path)
+
+
+@pytest.mark.parametrize("program", ["Pose2Sim", "EasyMocap", "FreeMoCap"])
+def test_a_trial_that_is_not_there_is_told(program: str, tmp_path: Path) -> None:
+    write_cameras(
+        RIG,
+        tmp_path if program == "EasyMocap" else tmp_path / "calibration.toml",
+        {"EasyMocap": "easymocap"}.get(program, "toml"),
+    )
+    (tmp_path / {"FreeMoCap": "synchronized_videos"}.get(program, "videos")).mkdir()
+    assert found_project(tmp_path).program == program
+    with pytest.raises(InputError, match=r"has no trial 'T9'; leave --trial away\."):
+        found_project(tmp_path, "T9")
 
 
 def test_names_are_paired_by_what_they_hold_or_by_their_order() -> None:
