@@ -102,7 +102,9 @@ def test_colmap_by_its_manual(tmp_path: Path) -> None:
 
 def test_projection_matrices_of_any_scale_and_sign(tmp_path: Path) -> None:
     rig = rig_with([0.0] * 5)
-    text = "\n".join(f"{c.name}:\n" + "\n".join(" ".join(map(str, row)) for row in -0.37 * c.P) for c in rig)
+    text = "# 1 2 3\n" + "\n".join(
+        f"{c.name}:\n" + "\n".join(" ".join(map(str, row)) for row in -0.37 * c.P) for c in rig
+    )
     (tmp_path / "P.txt").write_text(text)
     with pytest.raises(InputError, match="does not say how large the images are"):
         read_cameras(tmp_path / "P.txt")
@@ -111,6 +113,26 @@ def test_projection_matrices_of_any_scale_and_sign(tmp_path: Path) -> None:
     for a, b in zip(rig, read, strict=True):
         np.testing.assert_allclose(b.K, a.K, rtol=1e-9, atol=1e-8)
         np.testing.assert_allclose(b.T_cam_world, a.T_cam_world, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        ([], "cam_1.txt: it holds no 3 × 4 matrix; mend it, or move it elsewhere"),
+        (["a b c d"], "cam_1.txt: it holds no 3 × 4 matrix; mend it"),
+        (["1 2 3"] * 3, "cam_1.txt: the line '1 2 3' is no row of a matrix; it needs 4 numbers"),
+        (["nan 2 3 4"] * 3, "cam_1.txt"),
+        (["x 2 3 4"] * 3, "cam_1.txt"),
+        (["1 0 0 1", "0 1 0 1", "other:", "0 0 1 1"], "cam_1.txt: a matrix ends too early"),
+    ],
+)
+def test_a_damaged_matrix_drops_no_camera(
+    rows: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_cameras(rig_with([0.0] * 5), tmp_path / "P", "projections")
+    (tmp_path / "P" / "cam_1.txt").write_text("\n".join(rows))
+    asked = ("convert", tmp_path / "P", tmp_path / "out.toml", "--size", "1280x720", "--up", "z")
+    assert told in refusal(capsys, *asked) and not (tmp_path / "out.toml").exists()
 
 
 def test_vicon_by_the_book(tmp_path: Path) -> None:
