@@ -294,6 +294,39 @@ def test_a_pickle_builds_nothing_but_numbers(content: object, tmp_path: Path) ->
     assert not Path("/tmp/twistcap-was-here").exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "file", "before", "after", "told"),
+    [
+        ("vicon", "", r'POSITION="[^"]*"', 'POSITION="1 2"', "camera 'cam_0', POSITION: it must hold 3 numbers"),
+        (
+            "easymocap",
+            "intri.yml",
+            "W_cam_0: 1280",
+            "W_cam_0: a",
+            "camera 'cam_0', W_cam_0 and H_cam_0: 'a' is no number",
+        ),
+        (
+            "colmap",
+            "cameras.txt",
+            r"FULL_OPENCV 1280",
+            "FULL_OPENCV a",
+            "camera '1', WIDTH and HEIGHT: 'a' is no number",
+        ),
+        ("colmap", "cameras.txt", r" 0\.0\n", "\n", "camera '1', PARAMS: it must hold 12 numbers, and has 11"),
+        ("colmap", "images.txt", r"\n1 \S+", "\n1 a", "image 'cam_0', QW to TZ: 'a' is no number"),
+    ],
+)
+def test_a_bad_number_is_told_with_its_field(
+    name: str, file: str, before: str, after: str, told: str, tmp_path: Path
+) -> None:
+    path = tmp_path / ("a.xcp" if name == "vicon" else "a")
+    write_cameras(rig_with([0.0] * 5), path, name)
+    damaged = path / file if file else path
+    damaged.write_text(re.sub(before, after, damaged.read_text(), count=1))
+    with pytest.raises(InputError, match=re.escape(told)):
+        read_cameras(path, name, Asked(1.0, SIZE), up="z")
+
+
 def test_storages_refuse_what_grows(tmp_path: Path) -> None:
     (tmp_path / "a.xml").write_text('<!DOCTYPE a [<!ENTITY b "c">]><opencv_storage>&b;</opencv_storage>')
     with pytest.raises(InputError, match="document type"):

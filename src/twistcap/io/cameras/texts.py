@@ -96,13 +96,13 @@ def _lenses(path: Path) -> Iterator[tuple[str, tuple[Size, Float, Float, bool]]]
         if row[1] not in _MODELS:
             raise InputError(f"{where}: the model {row[1]} is not supported; undistort with COLMAP, or use OPENCV.")
         count, places = _MODELS[row[1]]
-        values = numbers(where, row[4:], count)
+        values = numbers(f"{where}, PARAMS", row[4:], count)
         chosen = values[list(places)]
         check(
             where, row[1] != "FULL_OPENCV" or not np.any(values[9:]), "k4, k5 and k6 of FULL_OPENCV are not supported"
         )
         fx, fy, cx, cy = chosen[:4]
-        size = whole_size(where, *numbers(where, row[2:4], 2))
+        size = whole_size(where, *numbers(f"{where}, WIDTH and HEIGHT", row[2:4], 2))
         yield row[0], (size, intrinsics(fx, fy, cx - _HALF, cy - _HALF), chosen[4:], row[1] == "OPENCV_FISHEYE")
 
 
@@ -110,7 +110,7 @@ def _image(where: str, row: list[str], lenses: dict[str, tuple[Size, Float, Floa
     check(where, len(row) >= 10, "a line holds IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID and NAME")
     name = " ".join(row[9:])
     where = f"{where}, image {name!r}"
-    w, x, y, z, *t = numbers(where, row[1:8], 7)
+    w, x, y, z, *t = numbers(f"{where}, QW to TZ", row[1:8], 7)
     check(where, 0.9 < float(np.linalg.norm([w, x, y, z])) < 1.1, "its quaternion is not of length 1")
     check(where, row[8] in lenses, f"its camera {row[8]} is not in cameras.txt")
     size, K, dist, fisheye = lenses[row[8]]
