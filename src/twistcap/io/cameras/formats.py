@@ -103,6 +103,8 @@ def format_of(path: Path) -> CameraFormat:
         return FORMATS[named[0]]
     if ".txt" in endings:
         return FORMATS["projections"]
+    if path.is_dir() and "Calib.toml" in inside:
+        return FORMATS["toml"]  # which says that the file is to be named
     raise InputError(f"calibration {path}: its name does not say its format; say it, as --format opencv.")
 
 
