@@ -115,6 +115,13 @@ def test_boards_that_cannot_be_are_refused(text: str, message: str, capsys: pyte
 def test_the_command_writes_a_page_and_its_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("board", tmp_path / "b.pdf") == 0
     assert read_board(tmp_path / "b.toml").words.startswith("charuco of 5 × 7 squares of 36 mm")
+    words = (tmp_path / "b.toml").read_text()
+    other = ("board", tmp_path / "b.pdf", "--board", "chessboard:8x5:20")
+    assert "b.pdf exists; choose another place, or replace it with --overwrite." in refusal(capsys, *other)
+    (tmp_path / "b.pdf").unlink()
+    assert "b.toml exists; choose another place" in refusal(capsys, *other)
+    assert [*tmp_path.iterdir()] == [tmp_path / "b.toml"] and (tmp_path / "b.toml").read_text() == words
+    assert run(*other, "--overwrite") == 0 and read_board(tmp_path / "b.toml").words.startswith("chessboard")
     assert "is smaller" in refusal(capsys, "board", tmp_path / "c.pdf", "--board", "charuco:9x6:80:60:5X5_100")
     assert run("board", tmp_path / "c.pdf", "--board", "charuco:9x6:80:60:5X5_100", "--paper", "fit") == 0
 
@@ -123,7 +130,7 @@ def test_a_board_that_is_the_same_upside_down_is_told_when_it_is_printed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for text, told in (("chessboard:8x6:20", True), ("chessboard:8x5:20", False), ("charuco:6x6:20:15:4X4_50", False)):
-        assert run("board", tmp_path / "b.pdf", "--board", text) == 0
+        assert run("board", tmp_path / "b.pdf", "--board", text, "--overwrite") == 0
         assert ("looks the same upside down" in capsys.readouterr().err) == told
 
 
@@ -141,7 +148,7 @@ def test_what_is_asked_in_vain_is_told_before_videos_are_read(
     there = tmp_path / "rig" / "Calib.toml"
     there.parent.mkdir(exist_ok=True)
     there.write_text("mine")
-    told = "Calib.toml exists; choose another folder, or replace it with --overwrite"
+    told = "Calib.toml exists; choose another place, or replace it with --overwrite"
     assert told in refusal(capsys, *asked, "chessboard:8x5:20")
     assert told not in refusal(capsys, *asked, "chessboard:8x5:20", "--overwrite")
     assert there.read_text() == "mine"

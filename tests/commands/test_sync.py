@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from support.cameras import ring
-from support.commands import document, run
+from support.commands import document, refusal, run
 from twistcap import se3
 from twistcap.adjust.clocks import Signal
 from twistcap.arrays import Bool, Float
@@ -47,6 +47,13 @@ def test_a_wrong_clock_is_put_right(walk: Path, tmp_path: Path, capsys: pytest.C
         assert abs(row["after_s"]) * FPS < 0.25
     clocks = load_session(session).clocks
     assert clocks["cam02"].offset == rows["cam02"]["after_s"]
+
+
+@pytest.mark.parametrize("start", ["auto", "given"])
+def test_one_camera_has_no_other_clock(walk: Path, start: str, capsys: pytest.CaptureFixture[str]) -> None:
+    session = walk.with_name("one.toml")
+    session.write_text(walk.read_text().replace("[cameras]", '[cameras]\nuse = ["cam01"]'))
+    assert "one.toml: [videos]: sync compares" in refusal(capsys, "sync", session, "--start", start)
 
 
 def test_only_clocks_that_are_sure_are_written(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 
@@ -91,6 +92,16 @@ def test_a_place_that_cannot_be_written_is_told_before_the_work(
         "init session.toml --out Calib.toml/pose.json",
     ):
         assert "folder Calib.toml cannot be made" in refusal(capsys, *line.split())
+
+
+def test_a_file_that_may_not_be_written_is_told_with_a_mend(capsys: pytest.CaptureFixture[str]) -> None:
+    def app(**_: object) -> None:
+        raise PermissionError(13, "Permission denied", "x.toml")
+
+    with pytest.raises(SystemExit, match="2"):
+        terminal.run_command(cast(Any, app), "twistcap", [])
+    told = "twistcap: x.toml cannot be used: Permission denied; choose another place, or see who may write there.\n"
+    assert capsys.readouterr().err == told
 
 
 def test_videos_changed_goes_with_resume(walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

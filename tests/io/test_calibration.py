@@ -15,7 +15,7 @@ from twistcap import se3
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.errors import InputError
 from twistcap.io.calibration import read_rig, write_rig
-from twistcap.io.cameras import write_cameras
+from twistcap.io.cameras import read_cameras, write_cameras
 from twistcap.io.plausible import check_plausible, check_upright
 
 PERSON = np.array([[0, 0, 0.02], [0, 0, 0.9], [0, 0.2, 1.4], [0, 0, 1.75]])
@@ -63,6 +63,14 @@ def test_calibrations_of_other_programs_are_to_be_converted(name: str, tmp_path:
     write_cameras(ring(), path, {"easy": "easymocap"}.get(name, "caliscope"))
     with pytest.raises(InputError, match=rf"{name} is of another program; make a Calib.toml of it:  twistcap convert"):
         read_rig(path)
+
+
+def test_a_folder_that_holds_a_calibration_is_no_other_program(calib: Path) -> None:
+    folder = calib.parent
+    with pytest.raises(InputError, match=rf"^calibration {re.escape(str(folder))} is a folder; name .*/Calib\.toml\.$"):
+        read_rig(folder)
+    with pytest.raises(InputError, match=r"is a folder; name .*/Calib\.toml\.$"):
+        read_cameras(folder)
 
 
 def test_real_file_agrees_with_opencv(shared_data: Path) -> None:

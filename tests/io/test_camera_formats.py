@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from support.cameras import ring
-from support.commands import document, refusal
+from support.commands import document, refusal, run
 from twistcap import se3
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.errors import InputError
-from twistcap.io.calibration import read_rig
+from twistcap.io.calibration import knows_floor, read_rig, write_rig
 from twistcap.io.cameras import FORMATS, Asked, format_of, read_cameras, write_cameras
 from twistcap.io.cameras.axes import axis_up, with_z_up
 from twistcap.io.number_pickle import read_number_pickle
@@ -102,7 +102,9 @@ def test_colmap_by_its_manual(tmp_path: Path) -> None:
 
 def test_projection_matrices_of_any_scale_and_sign(tmp_path: Path) -> None:
     rig = rig_with([0.0] * 5)
-    text = "\n".join(f"{c.name}:\n" + "\n".join(" ".join(map(str, row)) for row in -0.37 * c.P) for c in rig)
+    text = "# 1 2 3\n" + "\n".join(
+        f"{c.name}:\n" + "\n".join(" ".join(map(str, row)) for row in -0.37 * c.P) for c in rig
+    )
     (tmp_path / "P.txt").write_text(text)
     with pytest.raises(InputError, match="does not say how large the images are"):
         read_cameras(tmp_path / "P.txt")
@@ -111,6 +113,26 @@ def test_projection_matrices_of_any_scale_and_sign(tmp_path: Path) -> None:
     for a, b in zip(rig, read, strict=True):
         np.testing.assert_allclose(b.K, a.K, rtol=1e-9, atol=1e-8)
         np.testing.assert_allclose(b.T_cam_world, a.T_cam_world, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        ([], "cam_1.txt: it holds no 3 × 4 matrix; mend it, or move it elsewhere"),
+        (["a b c d"], "cam_1.txt: it holds no 3 × 4 matrix; mend it"),
+        (["1 2 3"] * 3, "cam_1.txt: the line '1 2 3' is no row of a matrix; it needs 4 numbers"),
+        (["nan 2 3 4"] * 3, "cam_1.txt"),
+        (["x 2 3 4"] * 3, "cam_1.txt"),
+        (["1 0 0 1", "0 1 0 1", "other:", "0 0 1 1"], "cam_1.txt: a matrix ends too early"),
+    ],
+)
+def test_a_damaged_matrix_drops_no_camera(
+    rows: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_cameras(rig_with([0.0] * 5), tmp_path / "P", "projections")
+    (tmp_path / "P" / "cam_1.txt").write_text("\n".join(rows))
+    asked = ("convert", tmp_path / "P", tmp_path / "out.toml", "--size", "1280x720", "--up", "z")
+    assert told in refusal(capsys, *asked) and not (tmp_path / "out.toml").exists()
 
 
 def test_vicon_by_the_book(tmp_path: Path) -> None:
@@ -201,7 +223,9 @@ def test_caliscope_keeps_the_numbers_of_cameras(tmp_path: Path, capsys: pytest.C
     ):
         named = Rig(tuple(replace(c, name=name) for c, name in zip(rig, names, strict=True)))
         write_cameras(named, tmp_path / "Calib.toml", "toml")
-        told = document(capsys, "convert", tmp_path / "Calib.toml", tmp_path / "a.toml", "--to", "caliscope")
+        told = document(
+            capsys, "convert", tmp_path / "Calib.toml", tmp_path / "a.toml", "--to", "caliscope", "--overwrite"
+        )
         read, _ = read_cameras(tmp_path / "a.toml")
         by_name = {c.name: c.centre for c in read}
         for camera, number in zip(named, numbers, strict=True):
@@ -270,6 +294,39 @@ def test_a_pickle_builds_nothing_but_numbers(content: object, tmp_path: Path) ->
     assert not Path("/tmp/twistcap-was-here").exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "file", "before", "after", "told"),
+    [
+        ("vicon", "", r'POSITION="[^"]*"', 'POSITION="1 2"', "camera 'cam_0', POSITION: it must hold 3 numbers"),
+        (
+            "easymocap",
+            "intri.yml",
+            "W_cam_0: 1280",
+            "W_cam_0: a",
+            "camera 'cam_0', W_cam_0 and H_cam_0: 'a' is no number",
+        ),
+        (
+            "colmap",
+            "cameras.txt",
+            r"FULL_OPENCV 1280",
+            "FULL_OPENCV a",
+            "camera '1', WIDTH and HEIGHT: 'a' is no number",
+        ),
+        ("colmap", "cameras.txt", r" 0\.0\n", "\n", "camera '1', PARAMS: it must hold 12 numbers, and has 11"),
+        ("colmap", "images.txt", r"\n1 \S+", "\n1 a", "image 'cam_0', QW to TZ: 'a' is no number"),
+    ],
+)
+def test_a_bad_number_is_told_with_its_field(
+    name: str, file: str, before: str, after: str, told: str, tmp_path: Path
+) -> None:
+    path = tmp_path / ("a.xcp" if name == "vicon" else "a")
+    write_cameras(rig_with([0.0] * 5), path, name)
+    damaged = path / file if file else path
+    damaged.write_text(re.sub(before, after, damaged.read_text(), count=1))
+    with pytest.raises(InputError, match=re.escape(told)):
+        read_cameras(path, name, Asked(1.0, SIZE), up="z")
+
+
 def test_storages_refuse_what_grows(tmp_path: Path) -> None:
     (tmp_path / "a.xml").write_text('<!DOCTYPE a [<!ENTITY b "c">]><opencv_storage>&b;</opencv_storage>')
     with pytest.raises(InputError, match="document type"):
@@ -277,6 +334,41 @@ def test_storages_refuse_what_grows(tmp_path: Path) -> None:
     (tmp_path / "a.yml").write_text("K: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 1., 2. ]\n")
     with pytest.raises(InputError, match=r"'K': it must hold 3 × 3 numbers"):
         read_storage(tmp_path / "a.yml")
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ((), "that is kept"),
+        (("--unit", "0.9"), "that is kept"),
+        (("--up", "-y"), "that is kept"),
+        (("--to", "easymocap"), "easymocap cannot say that, so set [cameras] floor = false in the session"),
+    ],
+)
+def test_a_floor_that_is_not_known_stays_so(
+    options: tuple[str, ...], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for known in (True, False):
+        write_rig(rig_with([0.0] * 5), tmp_path / "in.toml", floor=known)
+        out = tmp_path / ("out" if "--to" in options else "out.toml")
+        said = document(capsys, "convert", tmp_path / "in.toml", out, "--overwrite", *options)["statements"]
+        assert (f"The calibration does not know the floor: {told}." in said) is not known
+        assert "--to" in options or knows_floor(out) is known
+
+
+@pytest.mark.parametrize("name", list(FORMATS))
+def test_files_that_are_there_are_kept(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_cameras(rig_with(LENSES.get(name, [-0.2, 0.08, 0.0, 0.0, 0.0])), tmp_path / "in.toml", "toml")
+    asked = ("convert", tmp_path / "in.toml", tmp_path / f"out{FORMATS[name].ending}", "--to", name, "--up", "z")
+    assert run(*asked) == 0
+    files = [file for file in asked[2].rglob("*") if file.is_file()] or [asked[2]]
+    for file in files[1:]:
+        file.unlink()
+    files[0].write_text("mine")
+    told = refusal(capsys, *asked)
+    assert f"{files[0]} exists; choose another place, or replace it with --overwrite." in told
+    assert files[0].read_text() == "mine" and not any(file.exists() for file in files[1:])
+    assert run(*asked, "--overwrite") == 0 and files[0].stat().st_size > 10 and all(file.exists() for file in files)
 
 
 def test_the_command_converts_and_tells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -290,3 +382,7 @@ def test_the_command_converts_and_tells(tmp_path: Path, capsys: pytest.CaptureFi
         capsys, "convert", tmp_path / "a.qca.txt", tmp_path / "b" / "c", "--to", "projections", "--up", "z"
     )
     assert not (tmp_path / "b").exists()
+    strange = Rig((replace(rig[0], name="../x"), *rig.cameras[1:]))
+    write_cameras(strange, tmp_path / "a.qca.txt", "qualisys")
+    told = refusal(capsys, "convert", tmp_path / "a.qca.txt", tmp_path / "b" / "c", "--to", "opencv", "--up", "z")
+    assert "camera '../x': its name can be no file's" in told and not (tmp_path / "b").exists()

@@ -12,6 +12,7 @@ import av
 import numpy as np
 import pytest
 
+from support.commands import refusal
 from support.videos import corrupted
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.cli import main
@@ -286,6 +287,21 @@ def test_a_calibration_that_says_no_unit_is_told_or_asked_for(
         session = load_session(recorded / "mine" / "session.toml")
         assert session.cameras.unit == unit
         np.testing.assert_allclose([c.centre for c in rig_of(session)], [rig[0].centre, rig[2].centre], atol=1e-9)
+
+
+def test_a_calibration_in_centimetres_is_to_be_converted(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(recorded)
+    write_rig(scaled(read_rig("Calib.toml"), 15.0), "cm.toml")
+    Path("cm.toml").write_text(Path("cm.toml").read_text().replace('unit = "m"\n', ""))
+    mend = "or convert it with the length of its unit in m:  twistcap convert {} metres.toml --unit 0.01."
+    told = refusal(capsys, "new", "mine", "--calibration", "cm.toml", "--videos", "videos")
+    assert mend.format("cm.toml") in told
+    Path("Calib.toml").unlink()
+    Path("calibration").mkdir()
+    Path("cm.toml").rename("calibration/cm.toml")
+    assert mend.format("calibration/cm.toml") in refusal(capsys, "new", "mine", "--project", ".")
 
 
 @pytest.mark.parametrize("known", [True, False])

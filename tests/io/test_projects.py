@@ -15,6 +15,7 @@ from support.commands import document, refusal, run
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.camera import Rig
+from twistcap.errors import InputError
 from twistcap.io.calibration import read_rig, write_rig
 from twistcap.io.cameras import write_cameras
 from twistcap.io.cameras.axes import with_z_up
@@ -82,6 +83,8 @@ def test_pose2sim(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         for name in RIG.names:
             video(tmp_path / trial / "videos" / f"{name}.mp4")
     poses(tmp_path / "Trial_1" / "pose", "halpe_26", [f"{n}_json" for n in RIG.names])
+    with pytest.raises(InputError, match=r"has no trial 'T9'; it has Trial_1, Trial_2\."):
+        found_project(tmp_path, "T9")
     assert "Trial_1, Trial_2; choose one with --trial" in refusal(capsys, "new", tmp_path / "s", "--project", tmp_path)
     session, told = made(capsys, tmp_path / "s", "--project", tmp_path, "--trial", "Trial_1", "--stature", 1.75)
     table = session.first_pose.keypoints
@@ -91,6 +94,9 @@ def test_pose2sim(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert told["first_pose"]["stature_m"] == pytest.approx(1.75, abs=0.05)
     session, told = made(capsys, tmp_path / "Trial_2")  # in the trial's own folder
     assert session.first_pose.unaided and "Project of Pose2Sim" in " ".join(told["found"])
+    assert session.cameras.floor == 0.0
+    write_rig(RIG, tmp_path / "calibration" / "Calib_scene.toml", floor=False)
+    assert made(capsys, tmp_path / "Trial_2", "--force")[0].cameras.floor is False
 
 
 def test_25_points_without_a_name_are_said_to_be_body_25(tmp_path: Path) -> None:
@@ -191,6 +197,30 @@ def test_easymocap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert told["missing"] == [] and max(told["first_pose"]["median_px"].values()) < 3
 
 
+def test_a_calibration_that_is_there_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Unless it is the same, or --force is given and nothing is refused later: here sizes are."""
+    project, folder = tmp_path / "project", tmp_path / "s"
+    write_cameras(RIG, project, "easymocap")
+    for name in RIG.names:
+        video(project / "videos" / f"{name}.mp4")
+    asked = ("new", folder, "--project", project)
+    assert run(*asked) == 0
+    written = (folder / "Calib.toml").read_text()
+    (folder / "session.toml").unlink()
+    assert run(*asked) == 0
+    (folder / "session.toml").unlink()
+    (folder / "Calib.toml").write_text("mine")
+    told = refusal(capsys, *asked)
+    assert "Calib.toml exists, and is not the project's calibration" in told and "--force" in told
+    write_cameras(Rig(tuple(replace(c, size=(c.size[0] + 2, c.size[1])) for c in RIG)), project, "easymocap")
+    assert "size" in refusal(capsys, *asked, "--force")
+    assert (folder / "Calib.toml").read_text() == "mine" and len([*folder.iterdir()]) == 1
+    assert "size" in refusal(capsys, "new", tmp_path / "fresh", "--project", project)
+    assert not (tmp_path / "fresh").exists()
+    write_cameras(RIG, project, "easymocap")
+    assert run(*asked, "--force") == 0 and (folder / "Calib.toml").read_text() == written
+
+
 def test_keypoints_that_are_not_read_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "calibration").mkdir()
     write_rig(RIG, tmp_path / "calibration" / "Calib.toml")
@@ -234,6 +264,19 @@ def test_what_is_no_project_is_told(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "is no folder" in refusal(capsys, "new", tmp_path / "s", "--project", tmp_path / "none")
     (tmp_path / "synchronized_videos").mkdir()
     assert "camera_calibration.toml" in refusal(capsys, "new", tmp_path)
+
+
+@pytest.mark.parametrize("program", ["Pose2Sim", "EasyMocap", "FreeMoCap"])
+def test_a_trial_that_is_not_there_is_told(program: str, tmp_path: Path) -> None:
+    write_cameras(
+        RIG,
+        tmp_path if program == "EasyMocap" else tmp_path / "calibration.toml",
+        {"EasyMocap": "easymocap"}.get(program, "toml"),
+    )
+    (tmp_path / {"FreeMoCap": "synchronized_videos"}.get(program, "videos")).mkdir()
+    assert found_project(tmp_path).program == program
+    with pytest.raises(InputError, match=r"has no trial 'T9'; leave --trial away\."):
+        found_project(tmp_path, "T9")
 
 
 def test_names_are_paired_by_what_they_hold_or_by_their_order() -> None:

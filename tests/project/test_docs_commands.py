@@ -32,6 +32,7 @@ QUICK = {
     "studio ": "--frames 3 --size 192x140",
     "track walk/": "--out out/short",
     "new ": "--force",
+    "convert ": "--overwrite",
     "refine ": "--set rounds=1 --set coarse_rounds=0 --set points=60",
     "view ": "--save page.html",
 }

@@ -17,6 +17,7 @@ def board(
         str, typer.Option("--board", help="KIND:COLUMNSxROWS:SQUARE_MM[:MARKER_MM[:DICTIONARY]], or a board.toml.")
     ] = "charuco:5x7:36:27:4X4_50",
     paper: Annotated[str, typer.Option(help="a4, a3, a2, a1, a0, letter, or fit: as large as needed.")] = "a4",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an older PDF and its .toml.")] = False,
     json: terminal.Json = False,
 ) -> None:
     """Print a board at true size, with a ruler: a PDF, and the .toml that `twistcap calibrate --board` reads.
@@ -34,9 +35,10 @@ def board(
     check_choice("--paper", paper, (*PAPERS, "fit"))
     check(str(path), path.suffix.lower() == ".pdf", "the board is a PDF; name a file that ends in .pdf")
     made = board_of(kind)
+    about = path.with_suffix(".toml")
+    terminal.check_free(path, about, overwrite=overwrite)
     terminal.output_folder(path.parent)
     write_board(made, path, paper)
-    about = path.with_suffix(".toml")
     about.write_text(made.toml, encoding="utf-8")
     if not made.one_way:
         alike = "This board looks the same upside down: it does for one camera, or for lenses"

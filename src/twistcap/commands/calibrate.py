@@ -77,8 +77,7 @@ def calibrate(
         raise InputError("--floor is for videos of the board; with --points the world is that of the points.")
     if click and json:
         raise InputError("--click opens a page; it does not go with --json.")
-    if (terminal.output_folder(folder) / "Calib.toml").exists() and not overwrite:  # before the work
-        raise InputError(f"{folder / 'Calib.toml'} exists; choose another folder, or replace it with --overwrite.")
+    terminal.check_free(terminal.output_folder(folder) / "Calib.toml", overwrite=overwrite)  # before the work
     points = _clicked(points, click, alone, port) if click else points
     with terminal.status("calibrating") as report:
         if points is not None:

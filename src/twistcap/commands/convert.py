@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
@@ -11,6 +12,7 @@ from twistcap.commands import terminal
 from twistcap.errors import InputError, check_choice
 
 if TYPE_CHECKING:
+    from twistcap.camera import Rig
     from twistcap.io.cameras import CameraFormat
 
 
@@ -25,6 +27,7 @@ def convert(
     ] = None,
     up: Annotated[str | None, typer.Option(help="Axis of IN that is up: x, -x, y, -y, z or -z.")] = None,
     size: Annotated[str | None, typer.Option(help="Size of the images, if IN lacks it, as 1920x1080.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace older files of OUT.")] = False,
     json: terminal.Json = False,
 ) -> None:
     """Read a calibration of another program, and write it in the format of another, z up and in metres.
@@ -39,8 +42,9 @@ def convert(
 
       twistcap convert matrices/ Calib.toml --size 1920x1080
     """
-    from twistcap.io.cameras import FORMATS, Asked, read_cameras, write_cameras
+    from twistcap.io.cameras import FORMATS, Asked, read_cameras
     from twistcap.io.cameras.axes import Up
+    from twistcap.io.cameras.formats import floor_known
     from twistcap.io.cameras.units import unit_of
 
     check_choice("--to", to, FORMATS)
@@ -50,8 +54,7 @@ def convert(
     asked = Asked(None if unit is None else unit_of(unit), None if size is None else terminal.image_size(size))
     rig, statements = read_cameras(source, of, asked, axis)
     _check_out(source, out, FORMATS[to])
-    if renamed := write_cameras(rig, out, to):
-        statements.append(renamed)
+    statements += _written(rig, out, to, floor_known(source, of), overwrite)
     if json:
         centres = {camera.name: camera.centre for camera in rig}
         about = {"id": "convert", "file": out, "centres_m": centres}
@@ -65,6 +68,23 @@ def convert(
         typer.echo(
             f"Camera {camera.name}: at ({x:.3f}, {y:.3f}, {z:.3f}) m, {camera.size[0]}×{camera.size[1]} px.", err=True
         )
+
+
+def _written(rig: Rig, out: Path, to: str, floor: bool, overwrite: bool) -> list[str]:
+    """As `write_cameras`, elsewhere first: its files take their places once all are written and all places are free."""
+    from twistcap.io.cameras import write_cameras
+    from twistcap.io.files import replacing
+
+    with TemporaryDirectory() as folder:
+        draft = Path(folder) / "out"
+        statements = write_cameras(rig, draft, to, floor)
+        goals = {out / file.relative_to(draft): file for file in (draft, *draft.rglob("*")) if file.is_file()}
+        terminal.check_free(*goals, overwrite=overwrite)
+        for goal, file in goals.items():
+            terminal.output_folder(goal.parent)
+            with replacing(goal, "calibration") as part:
+                part.write_bytes(file.read_bytes())
+    return statements
 
 
 def _check_out(source: Path, out: Path, kind: CameraFormat) -> None:

@@ -70,7 +70,17 @@ def new(
     given = [*(videos or []), *(more or [])]
     draft, known = _drafted(folder, calibration, given, project, trial, up, unit)
     draft = replace(draft, detector=detector, people=people)
+    if not force:
+        _check_converted(draft)
     _tell(_written(draft, path, stature or known), json)
+
+
+def _check_converted(draft: Any) -> None:
+    """Raises InputError where another calibration is in the place of the one that is to be written."""
+    path, text = draft.calibration, draft.converted
+    if text is not None and path.exists() and path.read_bytes() != text.encode():
+        fact = f"{path} exists, and is not the project's calibration"
+        raise InputError(f"{fact}; choose another folder, or overwrite it with --force.")
 
 
 def check_stature(stature: float | None) -> None:
@@ -120,7 +130,9 @@ def _written(draft: Any, path: Path, stature: float | None) -> _Written:
     from twistcap.io.session import load_session
 
     terminal.output_folder(path.parent)
-    with _as_it_was_if_refused(path):
+    with _as_it_was_if_refused(path, draft.calibration):
+        if draft.converted is not None:
+            draft.calibration.write_text(draft.converted, encoding="utf-8")
         path.write_text(session_lines(draft, path.parent, stature), encoding="utf-8")
         session = load_session(path)
         views_of(session, rig_of(session))
@@ -135,15 +147,16 @@ def _written(draft: Any, path: Path, stature: float | None) -> _Written:
 
 
 @contextmanager
-def _as_it_was_if_refused(path: Path) -> Generator[None]:
-    before = path.read_bytes() if path.exists() else None
+def _as_it_was_if_refused(*paths: Path) -> Generator[None]:
+    before = {path: path.read_bytes() if path.exists() else None for path in paths}
     try:
         yield
-    except InputError:
-        if before is None:
-            path.unlink(missing_ok=True)
-        else:
-            path.write_bytes(before)
+    except (InputError, OSError):
+        for path, content in before.items():
+            if content is None:
+                path.unlink(missing_ok=True)
+            elif path.read_bytes() != content:
+                path.write_bytes(content)
         raise
 
 

@@ -11,7 +11,7 @@ import typer
 
 from twistcap.commands import terminal
 from twistcap.commands.terminal import words
-from twistcap.errors import InputError, check_choice
+from twistcap.errors import InputError, check, check_choice
 
 if TYPE_CHECKING:
     from twistcap.adjust.clocks import Coarse, KeypointClock
@@ -77,7 +77,10 @@ def synchronise(path: Path, start: str = "auto", count: int = 400, write: bool =
     from twistcap.io.session_edit import write_clocks
 
     session = load_session(path)
-    names = rig_of(session).names
+    names = (rig := rig_of(session)).names
+    alone = start == "given" and session.first_pose.keypoints is not None  # one camera, and the clock of its keypoints
+    mend = "sync compares the clocks of two or more cameras; name a second one and its video"
+    check(f"{path}: [videos]", len(rig) > 1 or alone, mend)
     given = {name: Clock(**session.clocks[name].model_dump()) if name in session.clocks else Clock() for name in names}
     clocks, way, coarse = _coarse(session, names, given, start)
     clocks, found = _settled(session, clocks, count)

@@ -40,7 +40,8 @@ def run_command(app: typer.Typer, name: str, arguments: Sequence[str] | None, ca
         print(f"{name}: {error}", file=sys.stderr)
         sys.exit(2)
     except OSError as error:  # a full disk, a folder that may not be written
-        print(f"{name}: {error.filename or 'a file'} cannot be used: {error.strerror or error}.", file=sys.stderr)
+        fact = f"{error.filename or 'a file'} cannot be used: {error.strerror or error}"
+        print(f"{name}: {fact}; choose another place, or see who may write there.", file=sys.stderr)
         sys.exit(2)
     except (SystemExit, SystemError) as error:  # by Ctrl-C, as typer and numba's kernels pass it on
         reasons = (error.__cause__, error.__context__, getattr(error.__context__, "__cause__", None))
@@ -171,6 +172,13 @@ def output_file(path: Path, option: str, ending: str) -> None:
     if ending and not path.name.lower().endswith(ending) and not special:
         raise InputError(f"{option} is {path}; name a file that ends in {ending}.")
     output_folder(path.parent)
+
+
+def check_free(*paths: Path, overwrite: bool) -> None:
+    """Raises InputError for a file that is there already, unless it may be replaced."""
+    for path in paths:
+        if path.is_file() and not overwrite:
+            raise InputError(f"{path} exists; choose another place, or replace it with --overwrite.")
 
 
 def frame_range(text: str | None, option: str = "--frames") -> tuple[int, int] | None:

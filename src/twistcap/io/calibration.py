@@ -48,6 +48,8 @@ def parsed_rig(path: Path, unit: Unit | None = None, key: str = _KEY) -> Rig:
     Raises InputError for a missing file, one of another program, and a missing, malformed, non-finite or impossible
     entry.
     """
+    if (inside := path / "Calib.toml").is_file():
+        raise InputError(f"calibration {path} is a folder; name {inside}.")
     if path.name.lower().endswith(_FOREIGN) or path.is_dir():
         raise _foreign(path)
     tables = read_toml(path, "calibration", f"check {key}")
@@ -92,9 +94,14 @@ def write_rig(rig: Rig, path: str | Path, unit: Unit = "m", floor: bool = True) 
 
     `unit` is that of the translations, and `floor` whether z = 0 is known to be the floor.
     """
+    Path(path).write_text(rig_text(rig, unit, floor), encoding="utf-8")
+
+
+def rig_text(rig: Rig, unit: Unit = "m", floor: bool = True) -> str:
+    """What `write_rig` writes."""
     tables = [_table(camera, _TO_METRES[unit]) for camera in rig]
     metadata = f'[metadata]\nunit = "{unit}"\nadjusted = false\nerror = 0.0\n' + ("" if floor else "floor = false\n")
-    Path(path).write_text("\n".join([*tables, metadata]))
+    return "\n".join([*tables, metadata])
 
 
 def _camera(where: str, key: str, table: Mapping[str, Any], scale: float) -> Camera:

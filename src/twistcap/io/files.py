@@ -21,8 +21,8 @@ def replacing(path: str | Path, what: str = "") -> Generator[Path]:
 
     Raises InputError, which says `what` it is, instead of any OSError of its writing.
     """
-    goal = Path(os.path.realpath(path))
-    special = goal.exists() and not goal.is_file()  # such as /dev/stdout
+    special = Path(path).exists() and not Path(path).is_file()  # such as /dev/stdout
+    goal = Path(path if special else os.path.realpath(path))
     part = goal if special else goal.with_name(f".{goal.stem}.part{goal.suffix}")
     try:
         yield part

@@ -51,6 +51,7 @@ class Draft:
     detector: str | None = None  # model file, or name, of what finds keypoints
     people: str | None = None  # model file that finds people for it
     notes: tuple[str, ...] = ()  # on what was found and decided
+    converted: str | None = None  # text of the calibration's file, where that is to be written too
 
     @property
     def frames(self) -> tuple[int, int]:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from twistcap.doors.text import read_json_table, read_text
 from twistcap.errors import InputError
-from twistcap.io.calibration import Unit, write_rig
+from twistcap.io.calibration import Unit, knows_floor, rig_text
 from twistcap.io.cameras import Asked, format_named
 from twistcap.io.cameras.axes import Up, axis_up, up_instead_of_z, with_z_up
 from twistcap.io.cameras.units import session_unit, toml_unit, unit_of
@@ -59,13 +59,16 @@ def found_project(folder: Path, trial: str | None = None) -> Project:
         raise InputError(f"project {folder} is no folder; name one, or give --calibration and --videos.")
     for look in (_opencap, _freemocap, _easymocap, _pose2sim):
         if (project := look(folder, trial)) is not None:
+            if trial is not None and project.program in ("EasyMocap", "FreeMoCap"):
+                _trial(folder, [], trial)
             return project
     known = "Pose2Sim, OpenCap, EasyMocap or FreeMoCap"
     raise InputError(f"{folder} is no project of {known}; give --calibration and --videos.")
 
 
 def draft_project(project: Project, folder: Path, unit: str | None = None, up: Up | None = None) -> Draft:
-    """The draft of a session in `folder`; a calibration that a session cannot read is converted, into Calib.toml there.
+    """The draft of a session in `folder`; a calibration that a session cannot read is converted: `Draft.converted` is
+    to be written into Calib.toml there.
 
     `unit` and `up` are those of the calibration. Raises InputError as `draft_session`; where the axis that is up is not
     said and the images do not tell it, or videos and cameras cannot be paired.
@@ -75,6 +78,9 @@ def draft_project(project: Project, folder: Path, unit: str | None = None, up: U
     unit = unit or ("mm" if project.program == "FreeMoCap" else None)
     size = open_source(project.videos[0][1]).size
     asked = Asked(None if unit is None else unit_of(unit), size)
+    given: Unit | None = None
+    if project.format == "toml":
+        given, _ = toml_unit(project.calibration, session_unit(unit), "its path")
     rig, told = format_named(project.format).read(project.calibration, asked)
     found = up or (up_instead_of_z(rig) or "z" if project.format == "toml" else axis_up(rig))
     if found is None:
@@ -86,13 +92,15 @@ def draft_project(project: Project, folder: Path, unit: str | None = None, up: U
     titles = {name or Path(path).stem: path for name, path in project.videos}
     cameras = _paired(project, list(titles), rig.names)
     file: Path = project.calibration
-    given: Unit | None = None
+    floor = project.floor_known
+    text: str | None = None
     if project.format == "toml":
-        given, _ = toml_unit(file, session_unit(unit), "its path")
+        if floor and not knows_floor(file):
+            floor = False
+            notes.append("The calibration does not know the floor: floor = false is set.")
     else:
         file = folder / "Calib.toml"
-        folder.mkdir(parents=True, exist_ok=True)
-        write_rig(with_z_up(rig, found), file)
+        text = rig_text(with_z_up(rig, found), floor=floor)
         notes.append(f"Its calibration was converted: {file}.")
     draft = drafted(rig, {cameras[title]: path for title, path in titles.items()}, file, given)
     poses = _keypoints(project, draft.rig.names)
@@ -104,7 +112,7 @@ def draft_project(project: Project, folder: Path, unit: str | None = None, up: U
         notes.append(_unread(project))
     turned = found if project.format == "toml" else "z"
     said = turned if up or turned != "z" else None
-    draft = replace(draft, up=said, floor_known=project.floor_known, notes=tuple(notes))
+    draft = replace(draft, up=said, floor_known=floor, notes=tuple(notes), converted=text)
     return replace(draft, keypoints=poses, layout=project.layout)
 
 
@@ -190,7 +198,8 @@ def _pose2sim(folder: Path, trial: str | None) -> Project | None:
     trials = sorted(p.name for p in folder.glob("*") if (p / "videos").is_dir())
     if not calibrations or not (trials or (folder / "videos").is_dir()):
         return None
-    own = folder if (folder / "videos").is_dir() else folder / _trial(folder, trials, trial)
+    alone = trial is None and (folder / "videos").is_dir()
+    own = folder if alone else folder / _trial(folder, trials, trial)
     videos: list[tuple[str | None, str]] = [(None, str(p)) for p in _videos(own / "videos")]
     for name in _POSES:
         folders = {p.name.removesuffix("_json"): p for p in sorted((own / name).glob("*")) if any(p.glob("*.json"))}
@@ -233,7 +242,8 @@ def _videos(folder: Path) -> list[Path]:
 
 def _trial(folder: Path, trials: Sequence[str], named: str | None) -> str:
     if named is not None and named not in trials:
-        raise InputError(f"{folder} has no trial {named!r}; it has {', '.join(trials) or 'none'}.")
+        mend = f"it has {', '.join(trials)}" if trials else "leave --trial away"
+        raise InputError(f"{folder} has no trial {named!r}; {mend}.")
     if named is None and len(trials) != 1:
         raise InputError(f"{folder} has the trials {', '.join(trials) or '(none)'}; choose one with --trial.")
     return named or trials[0]

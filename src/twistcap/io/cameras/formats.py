@@ -8,8 +8,8 @@ from pathlib import Path
 
 from twistcap.camera import Rig
 from twistcap.doors.text import read_text
-from twistcap.errors import InputError, check_choice, naming
-from twistcap.io.calibration import parsed_rig, says_unit, write_rig
+from twistcap.errors import InputError, check, check_choice, naming
+from twistcap.io.calibration import knows_floor, parsed_rig, says_unit, write_rig
 from twistcap.io.cameras.axes import Up, checked_up
 from twistcap.io.cameras.parts import Asked
 from twistcap.io.cameras.storage import read_easymocap, read_opencv, write_easymocap, write_opencv
@@ -103,6 +103,8 @@ def format_of(path: Path) -> CameraFormat:
         return FORMATS[named[0]]
     if ".txt" in endings:
         return FORMATS["projections"]
+    if path.is_dir() and "Calib.toml" in inside:
+        return FORMATS["toml"]  # which says that the file is to be named
     raise InputError(f"calibration {path}: its name does not say its format; say it, as --format opencv.")
 
 
@@ -129,16 +131,31 @@ def read_cameras(
     return rig, [statement, *([unit] if unit else [])]
 
 
-def write_cameras(rig: Rig, path: Path, name: str) -> str:
-    """Write a rig in a format; a sentence where that names cameras otherwise, else "".
+def floor_known(path: Path, name: str | None = None) -> bool:
+    """Whether z = 0 is the floor in a calibration of a format; only a Calib.toml can say that it is not."""
+    return (name or format_of(path).name) != "toml" or knows_floor(path)
+
+
+def write_cameras(rig: Rig, path: Path, name: str, floor: bool = True) -> list[str]:
+    """Write a rig in a format; `floor` is whether z = 0 is the floor. Sentences where the format names cameras
+    otherwise, and where the floor is not known.
 
     Raises InputError for a lens that the format cannot say, or a place that cannot be written.
     """
     kind = format_named(name)
+    for camera in rig.names if kind.folder else ():
+        check(f"camera {camera!r}", Path(camera).name == camera, "its name can be no file's; give it another in IN")
     try:
-        kind.write(rig, path)
+        if name == "toml":
+            write_rig(rig, path, floor=floor)
+        else:
+            kind.write(rig, path)
     except OSError as error:
         raise unwritable(path, error, "calibration") from error
     there = rig.names if kind.renamed is None else kind.renamed(rig.names)
     pairs = ", ".join(f"{mine} = {theirs}" for mine, theirs in zip(rig.names, there, strict=True) if mine != theirs)
-    return f"In {name} cameras have other names: {pairs}. Name their videos so." if pairs else ""
+    names = [f"In {name} cameras have other names: {pairs}. Name their videos so."] if pairs else []
+    kept = (
+        "that is kept" if name == "toml" else f"{name} cannot say that, so set [cameras] floor = false in the session"
+    )
+    return names if floor else [*names, f"The calibration does not know the floor: {kept}."]

@@ -146,4 +146,4 @@ def _turn(where: str, R: Any) -> Float:
 def _size(where: str, held: Mapping[str, Any], width: str, height: str) -> Size | None:
     if width not in held or height not in held:
         return None
-    return whole_size(where, *numbers(where, (held[width], held[height]), 2))
+    return whole_size(where, *numbers(f"{where}, {width} and {height}", (held[width], held[height]), 2))

@@ -130,12 +130,12 @@ def _vicon(element: Element, source: str, asked: Asked) -> Camera:
     focal = _number(where, key, "FOCAL_LENGTH")
     aspect = float(numbers(where, [element.attrib.get("PIXEL_ASPECT_RATIO", "1")], 1)[0])
     check(where, aspect > 0, "its PIXEL_ASPECT_RATIO must be above 0")
-    cx, cy = numbers(where, attribute(where, key.attrib, "PRINCIPAL_POINT").split(), 2)
-    size = whole_size(where, *numbers(where, attribute(where, element.attrib, "SENSOR_SIZE").split(), 2))
-    q = numbers(where, attribute(where, key.attrib, "ORIENTATION").split(), 4)
+    cx, cy = _list(where, key, "PRINCIPAL_POINT", 2)
+    size = whole_size(where, *_list(where, element, "SENSOR_SIZE", 2))
+    q = _list(where, key, "ORIENTATION", 4)
     check(where, 0.9 < float(np.linalg.norm(q)) < 1.1, "its ORIENTATION is no quaternion of length 1")
     turn = np.asarray(Rotation.from_quat(q).as_matrix(), dtype=float)
-    centre = asked.metres(1e-3) * numbers(where, attribute(where, key.attrib, "POSITION").split(), 3)
+    centre = asked.metres(1e-3) * _list(where, key, "POSITION", 3)
     check(where, focal > 0, "its FOCAL_LENGTH must be above 0")
     dist = _from_vicon(_radial(where, key), focal, size)
     return made(where, name, intrinsics(focal, focal / aspect, cx, cy), (turn, -turn @ centre), size, dist)
@@ -175,6 +175,10 @@ def _child(where: str, element: Element, tag: str) -> Element:
     if child is None:
         raise InputError(f"{where}: <{tag}> is missing; export the calibration again.")
     return child
+
+
+def _list(where: str, element: Element, key: str, count: int) -> Float:
+    return numbers(f"{where}, {key}", attribute(where, element.attrib, key).split(), count)
 
 
 def _number(where: str, element: Any, key: str) -> float:

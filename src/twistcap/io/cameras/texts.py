@@ -68,11 +68,11 @@ def read_projections(path: Path, asked: Asked) -> Rig:
     """3 × 4 matrices P as text: files of a folder, each a camera by its name, or blocks of three lines in one file.
 
     P is world to pixels, up to a factor, and knows neither distortion nor the size of the images: the user says it.
-    Raises InputError.
+    Raises InputError, also for a file without a matrix: it may be a camera that is damaged.
     """
     files = sorted(path.glob("*.txt")) if path.is_dir() else [path]
+    check(f"calibration {path}", files, "it holds no .txt file with a 3 × 4 matrix; name another folder")
     blocks = [(name, block) for file in files for name, block in _blocks(file)]
-    check(f"calibration {path}", blocks, "it holds no 3 × 4 matrix")
     cameras = [_of_projection(f"calibration {path}, camera {name!r}", name, P, asked) for name, P in blocks]
     return Rig(tuple(cameras))
 
@@ -96,13 +96,13 @@ def _lenses(path: Path) -> Iterator[tuple[str, tuple[Size, Float, Float, bool]]]
         if row[1] not in _MODELS:
             raise InputError(f"{where}: the model {row[1]} is not supported; undistort with COLMAP, or use OPENCV.")
         count, places = _MODELS[row[1]]
-        values = numbers(where, row[4:], count)
+        values = numbers(f"{where}, PARAMS", row[4:], count)
         chosen = values[list(places)]
         check(
             where, row[1] != "FULL_OPENCV" or not np.any(values[9:]), "k4, k5 and k6 of FULL_OPENCV are not supported"
         )
         fx, fy, cx, cy = chosen[:4]
-        size = whole_size(where, *numbers(where, row[2:4], 2))
+        size = whole_size(where, *numbers(f"{where}, WIDTH and HEIGHT", row[2:4], 2))
         yield row[0], (size, intrinsics(fx, fy, cx - _HALF, cy - _HALF), chosen[4:], row[1] == "OPENCV_FISHEYE")
 
 
@@ -110,7 +110,7 @@ def _image(where: str, row: list[str], lenses: dict[str, tuple[Size, Float, Floa
     check(where, len(row) >= 10, "a line holds IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID and NAME")
     name = " ".join(row[9:])
     where = f"{where}, image {name!r}"
-    w, x, y, z, *t = numbers(where, row[1:8], 7)
+    w, x, y, z, *t = numbers(f"{where}, QW to TZ", row[1:8], 7)
     check(where, 0.9 < float(np.linalg.norm([w, x, y, z])) < 1.1, "its quaternion is not of length 1")
     check(where, row[8] in lenses, f"its camera {row[8]} is not in cameras.txt")
     size, K, dist, fisheye = lenses[row[8]]
@@ -132,18 +132,39 @@ def _pairs(path: Path) -> list[str]:
 
 def _blocks(file: Path) -> Iterator[tuple[str, Float]]:
     """Names and matrices of a file: lines of four numbers in threes; other lines are names."""
-    rows, name, count = list[Float](), None, 0
+    rows, name, count, where = list[Float](), None, 0, f"calibration {file}"
+    early = "a matrix ends too early; each needs three lines of four numbers"
     for line in read_lines(file):
         words = line.replace(",", " ").replace("[", " ").replace("]", " ").replace(";", " ").split()
-        if len(words) in (4, 12) and not words[0][0].isalpha():
-            rows += list(numbers(f"calibration {file}", words).reshape(-1, 4))
-        elif words and not line.startswith("#"):
+        if line.startswith("#"):
+            continue
+        if _is_row(words):
+            check(where, len(words) in (4, 12), f"the line {line.strip()!r} is no row of a matrix; it needs 4 numbers")
+            rows += list(numbers(where, words).reshape(-1, 4))
+        elif words:
+            check(where, not rows, early)
             name = line.strip().rstrip(":")
         if len(rows) == 3:
             count += 1
             yield name or (file.stem if count == 1 else f"{file.stem}_{count}"), np.array(rows)
             rows, name = [], None
-    check(f"calibration {file}", not rows, "a matrix ends too early; each needs three lines of four numbers")
+    check(where, not rows, early)
+    check(where, count, "it holds no 3 × 4 matrix; mend it, or move it elsewhere if it is no camera")
+
+
+def _is_row(words: list[str]) -> bool:
+    """Whether a line is meant as a row of numbers, one of which may be damaged, and not as a name."""
+    if len(words) in (4, 12) and not words[0][0].isalpha():
+        return True
+    return sum(map(_is_number, words)) >= max(2, len(words) - 1)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def _of_projection(where: str, name: str, P: Float, asked: Asked) -> Camera:

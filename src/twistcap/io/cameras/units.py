@@ -11,6 +11,7 @@ from twistcap.arrays import Float
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.io.calibration import Unit, parsed_rig, says_unit
+from twistcap.io.files import pasted
 from twistcap.io.plausible import camera_distances, span_in_words
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}  # m
@@ -20,6 +21,7 @@ _NAMES: dict[Unit, str] = {
 }  # not centimetres: in squares of a board rooms are as large
 _NEAREST: dict[Unit, float] = {"m": 0.3, "mm": 1.0}  # m between the cameras that are farthest apart
 _FARTHEST = 30.0  # m, and from the world's origin
+_SAY = "say it: --unit mm, or its length in metres, as --unit 0.06"
 
 
 def unit_of(text: str) -> float:
@@ -52,10 +54,13 @@ def toml_unit(path: Path, unit: Unit | None, key: str) -> tuple[Unit | None, str
     `key` is what names the file, for messages. Raises InputError as `parsed_rig` and `taken_unit`.
     """
     rig = parsed_rig(path, "m", key)
-    return (unit, "") if unit is not None or says_unit(path) else taken_unit(rig, f"calibration {path}")
+    known = unit is not None or says_unit(path)
+    convert = f"twistcap convert {pasted(path)} metres.toml --unit 0.01"
+    mend = f"say --unit mm, or convert it with the length of its unit in m:  {convert}"
+    return (unit, "") if known else taken_unit(rig, f"calibration {path}", mend)
 
 
-def taken_unit(rig: Rig, source: str) -> tuple[Unit, str]:
+def taken_unit(rig: Rig, source: str, mend: str = _SAY) -> tuple[Unit, str]:
     """The unit that the distances of cameras allow, which were read as if in metres, and a sentence that says so.
 
     Raises InputError where neither metres nor millimetres make a room in which people are filmed.
@@ -66,7 +71,7 @@ def taken_unit(rig: Rig, source: str) -> tuple[Unit, str]:
     if not fitting:
         far = f"{span_in_words(apart, '')} apart" if len(apart) else f"{away:.3g} from the origin"
         neither = f"cameras are {far}, which fits neither metres nor millimetres (is one unit a square of the board?)"
-        raise InputError(f"{source}: {neither}; say it: --unit mm, or its length in metres, as --unit 0.06.")
+        raise InputError(f"{source}: {neither}; {mend}.")
     unit = fitting[0]
     where = f"cameras are {span_in_words(apart * UNITS[unit])} apart" if len(apart) else "the file does not say it"
     return unit, f"The calibration is taken to be in {_NAMES[unit]}: {where}. If it is not, give --unit."
