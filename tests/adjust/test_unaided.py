@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import cast
@@ -23,9 +24,10 @@ from twistcap.adjust.unaided import (
     scenery_of,
     turned_round,
 )
-from twistcap.adjust.unaided.hull import height_of, places
+from twistcap.adjust.unaided.hull import explained, height_of, places
 from twistcap.adjust.unaided.proof import Probe, Track, proof_of
 from twistcap.adjust.unaided.search import Candidate
+from twistcap.arrays import AnyArray
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.build import build
@@ -45,9 +47,9 @@ def _scene() -> tuple[Capture, list[Frame]]:
     return scene, list(scene.frames())
 
 
-def _unaided(frames: list[Frame], rig: Rig | None = None) -> Unaided:
-    scene, every = _scene()
-    rig = rig or scene.rig
+def _unaided(frames: list[Frame], rig: Rig | None = None, every: list[Frame] | None = None) -> Unaided:
+    scene, rig = _scene()[0], rig or _scene()[0].rig
+    every = every or _scene()[1]
     pictures = list(zip(*(frame.images for frame in every[::2]), strict=True))
     model = build(scene.body, rig)
     scenery = scenery_of(rig, pictures, middle_of_sight(rig), model.channels)
@@ -151,6 +153,37 @@ def test_a_calibration_of_wrong_scale_is_blamed() -> None:
     assert found is not None
     assert float(found[1]) == pytest.approx(tall, abs=0.08)
     assert float(found[2]) == pytest.approx(float(np.ptp(scene.body.vertices[:, 2])), abs=0.01)
+
+
+def _swapped(images: tuple[AnyArray | None, ...]) -> tuple[AnyArray | None, ...]:
+    return images[1], images[0], *images[2:]
+
+
+def _mirrored(images: tuple[AnyArray | None, ...]) -> tuple[AnyArray | None, ...]:
+    return tuple(None if image is None else np.ascontiguousarray(image[:, ::-1]) for image in images)
+
+
+@pytest.mark.parametrize("wrong", [_swapped, _mirrored])
+def test_cameras_that_do_not_agree_do_not_blame_the_scale(wrong: Callable[..., tuple[AnyArray | None, ...]]) -> None:
+    """Names that are swapped or pictures that are mirrored: what stands out has a height, but is no person."""
+    frames = [replace(frame, images=wrong(frame.images)) for frame in _scene()[1]]
+    with pytest.raises(
+        InputError, match=r"auto is not clear .* agree on no person.* swapped.* mirrored.* click"
+    ) as told:
+        _unaided(frames, every=frames).found()
+    assert "times" not in str(told.value)
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 1.25])
+def test_what_stands_out_is_explained_by_one_person_whatever_the_scale(factor: float) -> None:
+    scene, frames = _scene()
+    place = factor * Posed(scene.body, scene.true_poses[39]).vertices.mean(axis=0)
+    rig = scaled(scene.rig, factor)
+    shares = [
+        explained(_unaided(e, rig, e).scenery.evidence(e[39].images, scene.body), place, factor * 1.75, 0.0)
+        for e in (frames, [replace(frame, images=_swapped(frame.images)) for frame in frames])
+    ]
+    assert shares[0] > 0.9 and shares[1] < 0.75
 
 
 def test_only_the_person_who_is_asked_for_is_looked_for() -> None:

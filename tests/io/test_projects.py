@@ -99,17 +99,48 @@ def test_pose2sim(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert made(capsys, tmp_path / "Trial_2", "--force")[0].cameras.floor is False
 
 
-def test_25_points_without_a_name_are_said_to_be_body_25(tmp_path: Path) -> None:
-    (tmp_path / "calibration").mkdir()
-    write_rig(RIG, tmp_path / "calibration" / "Calib.toml")
-    (tmp_path / "videos").mkdir()
-    poses(tmp_path / "pose", "body_25b", [f"{n}_json" for n in RIG.names])
-    found = found_project(tmp_path)
-    assert found.layout == "body_25" and 'write format = "body_25b" into' in " ".join(found.notes)
+@pytest.mark.parametrize(("layout", "other"), [("body_25", "body_25b"), ("body_25b", "body_25")])
+def test_25_points_have_the_format_in_which_they_fit_a_body(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], layout: str, other: str
+) -> None:
+    """Config.toml names a model of another number of points: it is said, and the keypoints themselves decide."""
+    _project_of(tmp_path, layout)
+    (tmp_path / "Config.toml").write_text("[pose]\npose_model = 'Body_with_feet'\n")
+    session, told = made(capsys, tmp_path, "--stature", 1.75)
+    found = " ".join(told["found"])
+    assert session.first_pose.keypoints is not None and session.first_pose.keypoints.format == layout
+    assert "Config.toml names body_with_feet, which has another number of points." in found
+    assert f"; {layout} is taken: as {layout} they are" in found and f"as {other}" in found
+    assert told["missing"] == [] and max(told["first_pose"]["median_px"].values()) < 3
+
+
+def test_25_points_that_fit_no_body_are_not_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _project_of(tmp_path, "body_25")
+    shuffled = np.random.default_rng(0).permutation(25)
+    for path in (tmp_path / "pose").glob("*/*.json"):
+        given = np.reshape(json.loads(path.read_text())["people"][0]["pose_keypoints_2d"], (25, 3))[shuffled]
+        path.write_text(json.dumps({"people": [{"pose_keypoints_2d": given.ravel().tolist()}]}))
+    session, told = made(capsys, tmp_path, "--stature", 1.75)
+    assert session.first_pose.unaided and told["first_pose"] is None
+    assert "The number of keypoints fits body_25 and body_25b; none is clear: as" in " ".join(told["found"])
+    assert "The first pose: track looks for it in the images." in told["missing"][0]
+    assert "Config.toml" not in " ".join(told["found"])
+
+
+def test_a_model_that_config_names_is_believed(tmp_path: Path) -> None:
+    _project_of(tmp_path, "body_25b")
+    assert found_project(tmp_path).layouts == ("body_25", "body_25b")
     for name in ("BODY_25", "BODY_25B"):
         (tmp_path / "Config.toml").write_text(f"[pose]\npose_model = '{name}'\n")
-        found = found_project(tmp_path)
-        assert found.layout == name.lower() and found.notes == ()
+        assert found_project(tmp_path).layouts == (name.lower(),)
+
+
+def _project_of(folder: Path, layout: str) -> None:
+    (folder / "calibration").mkdir()
+    write_rig(RIG, folder / "calibration" / "Calib.toml")
+    for name in RIG.names:
+        video(folder / "videos" / f"{name}.mp4")
+    poses(folder / "pose", layout, [f"{n}_json" for n in RIG.names])
 
 
 def test_keypoints_that_give_no_pose_lead_to_clicks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

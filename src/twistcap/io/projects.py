@@ -12,23 +12,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from twistcap.camera import Rig
 from twistcap.doors.text import read_json_table, read_text
 from twistcap.errors import InputError
 from twistcap.io.calibration import Unit, knows_floor, rig_text
 from twistcap.io.cameras import Asked, format_named
 from twistcap.io.cameras.axes import Up, axis_up, up_instead_of_z, with_z_up
 from twistcap.io.cameras.units import session_unit, toml_unit, unit_of
+from twistcap.io.keypoint_format import fitting_format
 from twistcap.io.keypoints import LAYOUTS
 from twistcap.io.new_session import VIDEO_ENDINGS, Draft, drafted
 from twistcap.io.sources import natural
 from twistcap.io.video import open_source
 
 _POSES = ("pose-associated", "pose-sync", "pose", "pose-2d", "raw-2d")  # of Pose2Sim, the furthest worked first
-_GUESSED = (
-    "Its keypoints have 25 points and no Config.toml names their model, so they are taken for body_25. If they are"
-    ' body_25b, write format = "body_25b" into [first_pose.keypoints].'
-)
-_BY_COUNT = {len(names): layout for layout, names in LAYOUTS.items() if layout != "body_25b"}
 
 
 @dataclass(frozen=True)
@@ -36,7 +33,7 @@ class Project:
     """What was found in a project folder.
 
     `videos` are files, or pairs of camera and file where the folders say the camera. `keypoints` are folders of JSON
-    files, by the name of their folder; `layout` is their format.
+    files, by the name of their folder; `layouts` are the formats that they may have, `model` what the project calls it.
     """
 
     program: str
@@ -44,7 +41,8 @@ class Project:
     format: str  # a name of `io.cameras.FORMATS`
     videos: Sequence[tuple[str | None, str]]
     keypoints: Mapping[str, Path] = field(default_factory=dict[str, Path])
-    layout: str | None = None
+    layouts: tuple[str, ...] = ()
+    model: str = ""
     stature: float | None = None
     floor_known: bool = True
     notes: tuple[str, ...] = ()
@@ -105,15 +103,18 @@ def draft_project(project: Project, folder: Path, unit: str | None = None, up: U
     draft = drafted(rig, {cameras[title]: path for title, path in titles.items()}, file, given)
     poses = _keypoints(project, draft.rig.names)
     notes += _by_order("videos", list(titles), rig.names)
-    if poses:
+    layout, why = _layout_of(project, poses, with_z_up(draft.rig, found))
+    if layout:
         notes += _by_order("keypoints", list(project.keypoints), draft.rig.names)
-        notes.append(f"Its keypoints ({project.layout}) give the first pose.")
+        notes += [why] if why else []
+        notes.append(f"Its keypoints ({layout}) give the first pose.")
     elif project.keypoints:
-        notes.append(_unread(project))
+        folders = ", ".join(project.keypoints)
+        notes.append(f"Its keypoints ({folders}) are not read: {why}. If you know, fill [first_pose.keypoints].")
     turned = found if project.format == "toml" else "z"
     said = turned if up or turned != "z" else None
     draft = replace(draft, up=said, floor_known=floor, notes=tuple(notes), converted=text)
-    return replace(draft, keypoints=poses, layout=project.layout)
+    return replace(draft, keypoints=poses if layout else {}, layout=layout)
 
 
 def _paired(project: Project, names: Sequence[str], cameras: Sequence[str]) -> dict[str, str]:
@@ -125,16 +126,20 @@ def _paired(project: Project, names: Sequence[str], cameras: Sequence[str]) -> d
 
 
 def _keypoints(project: Project, cameras: Sequence[str]) -> dict[str, Path]:
-    """Folders by camera; none where their format is not known, or they fit no cameras."""
-    found = paired(list(project.keypoints), cameras) if project.keypoints and project.layout else None
+    """Folders by camera; none where they fit no cameras."""
+    found = paired(list(project.keypoints), cameras) if project.keypoints else None
     return {camera: project.keypoints[name] for name, camera in (found or {}).items()}
 
 
-def _unread(project: Project) -> str:
-    """A sentence on keypoints that are there and are not taken."""
-    folders = ", ".join(project.keypoints)
-    why = "their points fit no format that is known" if project.layout is None else "they fit no cameras"
-    return f"Its keypoints ({folders}) are not read: {why}. If you know, fill [first_pose.keypoints] in the file."
+def _layout_of(project: Project, poses: Mapping[str, Path], rig: Rig) -> tuple[str | None, str]:
+    """The keypoints' format, and what is to be said of it; None, and why, where they cannot be read."""
+    if not project.layouts or not poses:
+        return None, "they fit no cameras" if project.layouts else "their points fit no format that is known"
+    if len(project.layouts) == 1:
+        return project.layouts[0], ""
+    layout, told = fitting_format(poses, rig, project.layouts)
+    named = f"Config.toml names {project.model}, which has another number of points. " if project.model else ""
+    return layout, named + told
 
 
 def _by_order(what: str, names: Sequence[str], cameras: Sequence[str]) -> list[str]:
@@ -188,7 +193,7 @@ def _easymocap(folder: Path, trial: str | None) -> Project | None:
     for name in ("openpose", "annots"):
         poses = {p.name: p for p in sorted((folder / name).glob("*")) if any(p.glob("*.json"))}
         if poses:
-            return Project("EasyMocap", folder, "easymocap", videos, poses, _layout(poses, ""))
+            return Project("EasyMocap", folder, "easymocap", videos, poses, _layouts(poses, ""))
     return Project("EasyMocap", folder, "easymocap", videos)
 
 
@@ -205,9 +210,7 @@ def _pose2sim(folder: Path, trial: str | None) -> Project | None:
         folders = {p.name.removesuffix("_json"): p for p in sorted((own / name).glob("*")) if any(p.glob("*.json"))}
         if folders:
             model = _model(own, *above)
-            layout = _layout(folders, model)
-            notes = (_GUESSED,) if layout == "body_25" and model != layout else ()
-            return Project("Pose2Sim", calibrations[0], "toml", videos, folders, layout, notes=notes)
+            return Project("Pose2Sim", calibrations[0], "toml", videos, folders, _layouts(folders, model), model)
     return Project("Pose2Sim", calibrations[0], "toml", videos)
 
 
@@ -223,8 +226,8 @@ def _model(*folders: Path) -> str:
     return named[0].lower() if named else ""
 
 
-def _layout(folders: Mapping[str, Path], model: str) -> str | None:
-    """The format by the number of points in the first file; of 25 points, what Config.toml says."""
+def _layouts(folders: Mapping[str, Path], model: str) -> tuple[str, ...]:
+    """The formats with the number of points in the first file; the one that Config.toml names, if it is one of them."""
     for path in sorted(next(iter(folders.values())).glob("*.json")):
         content = read_json_table(path)
         people = content.get("people", content.get("annots"))
@@ -232,8 +235,9 @@ def _layout(folders: Mapping[str, Path], model: str) -> str | None:
         given = person.get("pose_keypoints_2d", person.get("keypoints"))
         if isinstance(given, list) and given:
             count = len(given) if isinstance(given[0], list) else len(given) // 3
-            return "body_25b" if count == 25 and model == "body_25b" else _BY_COUNT.get(count)
-    return None
+            fitting = tuple(name for name, names in LAYOUTS.items() if len(names) == count)
+            return (model,) if model in fitting else fitting
+    return ()
 
 
 def _videos(folder: Path) -> list[Path]:

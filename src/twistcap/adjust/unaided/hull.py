@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from twistcap.arrays import Float
+from twistcap.arrays import Bool, Float, Int
 from twistcap.camera import Rig
 from twistcap.search.evidence import Evidence, EvidenceView
 
@@ -64,6 +64,29 @@ def height_of(evidence: Evidence, place: Float, floor: float) -> float:
     return float(z[body[-1]] - z[body[0]]) if len(body) else 0.0
 
 
+def explained(evidence: Evidence, place: Float, height: float, floor: float) -> float:
+    """Share of what stands out that a body of this height about a place (3,) covers, mean of the cameras.
+
+    It does not depend on scale: where all lengths are wrong alike, rays still meet. In cameras that are swapped or
+    mirrored, or that see each another part of a body, they do not.
+    """
+    half = max(0.6, 0.5 * height)
+    side, z = np.arange(-half, half, _FINE), np.arange(floor - _LOW, floor + _HIGHEST, _FINE)
+    voxels = np.stack(np.meshgrid(place[0] + side, place[1] + side, z, indexing="ij"), axis=-1).reshape(-1, 3)
+    body = voxels[_inside(evidence, voxels) > 0.0]
+    return float(np.mean([_covered(view, body) for view in evidence.views]))
+
+
+def _covered(view: EvidenceView, points: Float) -> float:
+    """Share of what stands out in a view that lies on the points (N, 3), or between them."""
+    nats = np.maximum(view.any_part[0], 0.0)
+    column, row, sees = _pixels(view, points)
+    on = np.zeros(nats.shape, np.uint8)
+    on[row[sees], column[sees]] = 1
+    on = np.asarray(cv2.morphologyEx(on, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)))
+    return float(nats[on > 0].sum() / max(nats.sum(), 1e-9))
+
+
 def _height(inside: Float, i: int, j: int, half: int, z: Float) -> float:
     """The middle height of what is about a column."""
     column = inside[max(0, i - half) : i + half + 1, max(0, j - half) : j + half + 1].sum(axis=(0, 1))
@@ -81,11 +104,17 @@ def _inside(evidence: Evidence, points: Float) -> Float:
     return np.where((seen >= 2) & (least > -0.5), np.maximum(total, 0.0) / np.maximum(seen, 1.0), 0.0)
 
 
-def _sampled(view: EvidenceView, points: Float) -> tuple[Float, Float]:
+def _sampled(view: EvidenceView, points: Float) -> tuple[Float, Bool]:
     """(N,) nats where points are seen, 0 elsewhere; and whether they are."""
-    nats = view.any_part[0]
+    column, row, sees = _pixels(view, points)
+    return np.where(sees, view.any_part[0][row, column], 0.0), sees
+
+
+def _pixels(view: EvidenceView, points: Float) -> tuple[Int, Int, Bool]:
+    """(N,) columns and rows of points, 0 where they are not seen, and whether they are."""
+    height, width = view.any_part[0].shape
     u, v, w = (points @ view.camera.P[:, :3].T + view.camera.P[:, 3]).T
     front = w > 0.0
     c, r = (np.floor(np.where(front, a / np.where(front, w, 1.0), -1.0) + 0.5).astype(int) for a in (u, v))
-    sees = front & (c >= 0) & (c < nats.shape[1]) & (r >= 0) & (r < nats.shape[0])
-    return np.where(sees, nats[np.where(sees, r, 0), np.where(sees, c, 0)], 0.0), sees
+    sees = front & (c >= 0) & (c < width) & (r >= 0) & (r < height)
+    return np.where(sees, c, 0), np.where(sees, r, 0), sees

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
-from twistcap.adjust.unaided.hull import height_of, middle_of_sight, places
+from twistcap.adjust.unaided.hull import explained, height_of, middle_of_sight, places
 from twistcap.adjust.unaided.scenery import Scenery
 from twistcap.adjust.unaided.search import Candidate, Instant, UnaidedRule
 from twistcap.arrays import Float
@@ -33,6 +33,11 @@ Read = Callable[[range], Iterable[Frame]]
 _AS_IT_IS = BesideRule(good=0.0, limb_poor=0.0)
 _NEAR = 0.97  # of the best score of a probe, that a pose must have for a track to have met what the probe found
 _ODD = 1.15  # times the body's height, from which on the calibration is blamed
+_TOGETHER = 0.9  # share of what stands out that one person explains, from which on: up to 0.85 in swapped cameras
+_APART = (
+    "the cameras agree on no person: their names may be swapped, pictures mirrored or of another calibration,"
+    " or nobody is seen whole"
+)
 _CLICKS = "click its joints with `twistcap init`, or give [first_pose] keypoints"
 
 
@@ -247,24 +252,36 @@ class Unaided:
             if all(far):
                 tracks.append(Track(fitted, frames, probe.at, c.pose))
 
-    def _height(self, probes: Sequence[Probe]) -> float:
-        """m of the person, without a body: of one who seems small the greatest, for people bend; else the median."""
+    def _height(self, probes: Sequence[Probe]) -> float | None:
+        """m of the person, without a body: of one who seems small the greatest, for people bend; else the median.
+
+        None where the cameras do not agree on a person in most frames: such a height says nothing of the scale.
+        """
         centre, reach = middle_of_sight(self.model.rig)[:2], self.rule.search.reach
-        evidence = [probe.instant.evidence for probe in probes]
-        found = [(e, places(e, centre, reach, self.floor, 1)) for e in evidence]
-        heights = np.array([height_of(e, place[0], self.floor) for e, place in found if len(place)] or [0.0])
-        median = float(np.median(heights))
-        return median if median > float(np.ptp(self.model.body.vertices[:, 2])) else float(heights.max())
+        heights, shares = list[float](), list[float]()
+        for evidence in (probe.instant.evidence for probe in probes):
+            for place in places(evidence, centre, reach, self.floor, 1):
+                heights.append(height_of(evidence, place, self.floor))
+                shares.append(explained(evidence, place, heights[-1], self.floor))
+        if not shares or np.median(shares) < _TOGETHER:
+            return None
+        agreed = [height for height, share in zip(heights, shares, strict=True) if share >= _TOGETHER]
+        median = float(np.median(agreed))
+        return median if median > float(np.ptp(self.model.body.vertices[:, 2])) else max(agreed)
 
     def _refusal(self, best: Proof | None, probes: Sequence[Probe]) -> str:
         if best is None:
             return f"[first_pose] auto: nobody stands out from the background in two cameras at once; {_CLICKS}."
         said = f"contour agreement {best.agreement:.2f}, margin {100 * np.mean(best.margins):.0f} %"
         own, height = float(np.ptp(self.model.body.vertices[:, 2])), self._height(probes)
+        if not height:
+            return f"[first_pose] auto is not clear ({said}): {_APART}; {_CLICKS}."
         ratio = height / own
-        if ratio == 0.0 or 1.0 / _ODD < ratio < _ODD:
+        if 1.0 / _ODD < ratio < _ODD:
             return f"[first_pose] auto: the person's first pose is not clear ({said}); {_CLICKS}."
-        larger = f"{ratio:.2f} times too large" if ratio > 1 else f"{1 / ratio:.2f} times too small"
+        larger = f"{ratio:.2f} times too large"
+        if ratio < 1.0:
+            larger = f"{1 / ratio:.2f} times too small if the person stands and is seen whole"
         fact = f"in {self.calibration} the person is about {height:.2f} m tall, but [body] is {own:.2f} m"
         mend = "check its board's squares, its unit and [body] stature"
         return f"[first_pose] auto is not clear ({said}): {fact}; its lengths are probably {larger}: {mend}."
