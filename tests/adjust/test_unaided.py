@@ -186,6 +186,16 @@ def test_what_stands_out_is_explained_by_one_person_whatever_the_scale(factor: f
     assert shares[0] > 0.9 and shares[1] < 0.75
 
 
+def test_a_small_person_is_blamed_on_the_scale_only_if_seen_whole() -> None:
+    scene, frames = _scene()
+    search = _unaided(frames, scaled(scene.rig, 0.7))
+    instants = [Instant(QUICK, search.model, f, search.scenery.evidence(f.images, scene.body)) for f in frames[:10:9]]
+    track = Track(search.model, frames[:1], 0, scene.first_pose)
+    proof, probes = Proof(track, 1, 0.9, (0.0,), 0.3), [Probe(0, instant, ()) for instant in instants]
+    sentence = search._refusal(proof, probes)  # pyright: ignore[reportPrivateUsage]
+    assert re.search(r"are 1\.\d\d times too small if a whole person is seen: check its board", sentence)
+
+
 def test_only_the_person_who_is_asked_for_is_looked_for() -> None:
     scene, frames = _scene()
     middle = Posed(scene.body, scene.true_poses[0]).vertices.mean(axis=0)

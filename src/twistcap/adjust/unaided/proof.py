@@ -279,9 +279,9 @@ class Unaided:
         ratio = height / own
         if 1.0 / _ODD < ratio < _ODD:
             return f"[first_pose] auto: the person's first pose is not clear ({said}); {_CLICKS}."
-        larger = f"{ratio:.2f} times too large"
+        larger = f"probably {ratio:.2f} times too large"
         if ratio < 1.0:
-            larger = f"{1 / ratio:.2f} times too small if the person stands and is seen whole"
+            larger = f"{1 / ratio:.2f} times too small if a whole person is seen"
         fact = f"in {self.calibration} the person is about {height:.2f} m tall, but [body] is {own:.2f} m"
-        mend = "check its board's squares, its unit and [body] stature"
-        return f"[first_pose] auto is not clear ({said}): {fact}; its lengths are probably {larger}: {mend}."
+        mend = "check its board, its unit and [body] stature"
+        return f"[first_pose] auto is not clear ({said}): {fact}; its lengths are {larger}: {mend}."
