@@ -96,7 +96,7 @@ def mended(filmed: Bumped, estimates: Sequence[Estimate], named: Sequence[tuple[
     sigma = found.sigmas[c]
     print(f"  off before {off(rig[c].T_cam_world, filmed.truth)}, after {off(found.places[c], filmed.truth)} (deg, mm)")
     print(f"  sigma {np.rad2deg(np.linalg.norm(sigma[:3])):.3f} deg {1000 * np.linalg.norm(sigma[3:]):.1f} mm; agree"
-          f" {np.nanmean(found.before[c]):.2f} -> {np.nanmean(found.after[c]):.2f}; moved {np.round(found.moved, 5)};"
+          f" {np.nanmean(found.before[c]):.2f} -> {np.nanmean(found.after[c]):.2f}; {len(found.moved)} rounds;"
           f" holds from {chosen[0].index + holds_from(found.before[c], found.after[c])}", flush=True)  # fmt: skip
 
 
