@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from itertools import islice, product
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +44,7 @@ JOINTS = tuple(f"{joint}_{side}" for joint in ("hip", "knee", "ankle", "shoulder
 CAMERAS = ("cam01", "cam02", "cam03", "cam04")
 PAIRS = tuple(zip(CAMERAS, (*CAMERAS[1:], CAMERAS[0]), strict=True))
 NOISE = 1.5  # grey levels
-AFTER, WITHIN_MM = 10, 30.0  # frames after which joints tell whether a first pose was right
+AFTER, WITHIN_MM = 10, 30.0  # the frame whose joints tell whether a first pose was right
 SOON = 5  # frames within which a lost stretch should be flagged
 
 Subject = tuple[str, str, tuple[str, ...]]
@@ -81,14 +81,14 @@ def tracked(subject: Subject, seed: int) -> Tracked:
 
 
 def started(clip: str, body: str) -> Tracked:
-    """Eleven frames from a first pose that the images alone have told. Raises InputError where it is refused."""
+    """The track from a first pose that is found in the images alone. Raises InputError where it is refused."""
     recording, path = _subject(data_file(f"blender_{clip}"), body)
     session = load_session(path)
     views = views_of(session, rig_of(session))
     person = recording.body if body == FITTED else body_of(session)  # not at the lengths that keypoints say
     proof = found_unaided(session, person, views, floor_of(session))
     recording = replace(recording, body=person, first_pose=proof.first)
-    return _from_first_pose(recording, session, views, islice(views, AFTER + 1))
+    return _from_first_pose(recording, session, views, views)
 
 
 def _from_first_pose(recording: Recording, session: Session, views: Views, frames: Iterable[Frame]) -> Tracked:

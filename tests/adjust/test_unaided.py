@@ -24,7 +24,7 @@ from twistcap.adjust.unaided import (
     scenery_of,
     turned_round,
 )
-from twistcap.adjust.unaided.hull import explained, height_of, places
+from twistcap.adjust.unaided.hull import height_of, places, share_explained
 from twistcap.adjust.unaided.proof import Probe, Track, proof_of
 from twistcap.adjust.unaided.search import Candidate
 from twistcap.arrays import AnyArray
@@ -180,7 +180,7 @@ def test_what_stands_out_is_explained_by_one_person_whatever_the_scale(factor: f
     place = factor * Posed(scene.body, scene.true_poses[39]).vertices.mean(axis=0)
     rig = scaled(scene.rig, factor)
     shares = [
-        explained(_unaided(e, rig, e).scenery.evidence(e[39].images, scene.body), place, factor * 1.75, 0.0)
+        share_explained(_unaided(e, rig, e).scenery.evidence(e[39].images, scene.body), place, factor * 1.75, 0.0)
         for e in (frames, [replace(frame, images=_swapped(frame.images)) for frame in frames])
     ]
     assert shares[0] > 0.9 and shares[1] < 0.75

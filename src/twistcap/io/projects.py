@@ -137,9 +137,9 @@ def _layout_of(project: Project, poses: Mapping[str, Path], rig: Rig) -> tuple[s
         return None, "they fit no cameras" if project.layouts else "their points fit no format that is known"
     if len(project.layouts) == 1:
         return project.layouts[0], ""
-    layout, told = fitting_format(poses, rig, project.layouts)
+    layout, reason = fitting_format(poses, rig, project.layouts)
     named = f"Config.toml names {project.model}, which has another number of points. " if project.model else ""
-    return layout, named + told
+    return layout, named + reason
 
 
 def _by_order(what: str, names: Sequence[str], cameras: Sequence[str]) -> list[str]:

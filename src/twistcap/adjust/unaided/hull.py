@@ -64,7 +64,7 @@ def height_of(evidence: Evidence, place: Float, floor: float) -> float:
     return float(z[body[-1]] - z[body[0]]) if len(body) else 0.0
 
 
-def explained(evidence: Evidence, place: Float, height: float, floor: float) -> float:
+def share_explained(evidence: Evidence, place: Float, height: float, floor: float) -> float:
     """Share of what stands out that a body of this height about a place (3,) covers, mean of the cameras.
 
     It does not depend on scale: where all lengths are wrong alike, rays still meet. In cameras that are swapped or

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
-from twistcap.adjust.unaided.hull import explained, height_of, middle_of_sight, places
+from twistcap.adjust.unaided.hull import height_of, middle_of_sight, places, share_explained
 from twistcap.adjust.unaided.scenery import Scenery
 from twistcap.adjust.unaided.search import Candidate, Instant, UnaidedRule
 from twistcap.arrays import Float
@@ -262,7 +262,7 @@ class Unaided:
         for evidence in (probe.instant.evidence for probe in probes):
             for place in places(evidence, centre, reach, self.floor, 1):
                 heights.append(height_of(evidence, place, self.floor))
-                shares.append(explained(evidence, place, heights[-1], self.floor))
+                shares.append(share_explained(evidence, place, heights[-1], self.floor))
         if not shares or np.median(shares) < _TOGETHER:
             return None
         agreed = [height for height, share in zip(heights, shares, strict=True) if share >= _TOGETHER]
