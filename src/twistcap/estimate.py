@@ -65,7 +65,7 @@ class Estimate:
         predicted: what told the pose that the frame was started from: "motion", "flow", "constant_velocity" or "hold".
         probability: that a joint of such a limb is more than 150 mm off, calibrated on captures with truth.
         part_probability: (S,) the same of each segment's limb, NaN for limbs that are not judged, as some of
-            them is in no image; None where nothing was seen of the body.
+            them is in no image, or they look like what is behind them; None where nothing was seen of the body.
         left_out: cameras of the rig that contradict the others and are not believed.
         missing: cameras whose picture was missing, blank, or the one before once more.
         bumps: (C, 3) turn of each camera from where it is calibrated, in its own frame, rad; None where none was.

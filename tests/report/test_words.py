@@ -71,7 +71,8 @@ def test_a_limb_that_is_not_judged_is_named_where_that_lasts(tmp_path: Path) -> 
     hidden = np.where(LIMBS["leg_l"], np.nan, 0.02)
     frames = [estimate(k, part_probability=hidden if k in (2, *range(4, 11)) else parts(head=0.02)) for k in range(12)]
     words = result_in_words(result(tmp_path / "tracked.h5", frames))
-    assert words[1:] == ["left leg: not whole in any image, and not judged, in 7 frames: 8–20"]
+    unjudged = "not whole in any image, or like what is behind it, and not judged"
+    assert words[1:] == [f"left leg: {unjudged}, in 7 frames: 8–20"]
 
 
 def test_a_result_tells_what_was_lost_and_which_cameras_were_not_believed(tmp_path: Path) -> None:

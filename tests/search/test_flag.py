@@ -15,7 +15,7 @@ from twistcap.search.flag import (
     FlagRule,
     flag_groups,
     image_signs,
-    in_images,
+    judged,
     log_odds,
     ramps,
     segment_deviations,
@@ -62,13 +62,26 @@ def test_what_is_not_seen_is_the_less_sure_the_longer_and_the_wider() -> None:
 
 def test_a_limb_with_a_segment_in_no_image_is_not_judged() -> None:
     groups = flag_groups(humanoid())
+    none = np.zeros(len(groups), np.bool_)
     points = np.full(groups.shape[1], 20, np.int32)
     everything = Agreement(points, points.astype(float), points.astype(float))
-    assert in_images(groups, everything).all()
+    assert judged(groups, everything, none).all()
     points = np.where(np.cumsum(groups[2]) == groups[2].sum(), np.where(groups[2], 0, 20), 20).astype(np.int32)
-    hidden = in_images(groups, Agreement(points, points.astype(float), points.astype(float)))
-    np.testing.assert_array_equal(hidden, np.arange(len(groups)) != 2)
-    assert in_images(groups, Agreement(0 * points, 0.0 * points, 0.0 * points)).all()  # it cannot all be left unjudged
+    hidden = Agreement(points, points.astype(float), points.astype(float))
+    for lost in (none, ~none):
+        np.testing.assert_array_equal(judged(groups, hidden, lost), np.arange(len(groups)) != 2)
+    assert judged(groups, Agreement(0 * points, 0.0 * points, 0.0 * points), none).all()  # it cannot be all
+
+
+def test_a_limb_that_looks_like_what_is_behind_it_is_not_judged_unless_it_is_lost() -> None:
+    groups = flag_groups(humanoid())
+    lost = np.zeros(len(groups), np.bool_)
+    points = np.full(groups.shape[1], 20, np.int32)
+    telling = np.where(groups[2], 7.0, 9.0).astype(np.float64)
+    alike = Agreement(points, telling, telling)
+    np.testing.assert_array_equal(judged(groups, alike, lost), np.arange(len(groups)) != 2)
+    lost[2] = True
+    assert judged(groups, alike, lost).all()
 
 
 def test_the_deviation_of_a_segment_is_the_spread_of_its_middle() -> None:

@@ -140,8 +140,8 @@ def _unseen(result: Result) -> list[str]:
     each = zip(limbs, unseen_limbs(limbs, result.part_probability).T, strict=True)
     shown = [(name, _long(rows)) for name, rows in each]
     return [
-        f"{limb_in_words(name)}: not whole in any image, and not judged, in {_frames(int(rows.sum()))}: "
-        f"{in_spans(result.indices, rows)}"
+        f"{limb_in_words(name)}: not whole in any image, or like what is behind it, and not judged, "
+        f"in {_frames(int(rows.sum()))}: {in_spans(result.indices, rows)}"
         for name, rows in shown
         if rows.any()
     ]

@@ -27,6 +27,7 @@ MOST_USUAL = (0.2, 0.35, 0.4)
 """The most of each that may pass for usual."""
 
 _LOST = 0.15  # m off, a joint is lost
+_CONTRAST = 0.4  # of a limb's contour points that tell it from what is behind it; with fewer nothing says it is right
 _AT_LIMIT = 0.02  # rad from a limit
 _MEANS = [0, 1, 2, 3, 5, 6]  # signs whose running means count as well; that of `late` is one
 _OF = {
@@ -61,10 +62,13 @@ def flag_groups(body: Body) -> Bool:
     return np.array([*own, rest])
 
 
-def in_images(groups: Bool, agreement: Agreement) -> Bool:
-    """(G,) groups of segments (G, S) all of which some image shows; the others are not judged. All where none is."""
-    whole = ~(groups & (agreement.points == 0)).any(axis=1)
-    return np.asarray(whole if whole.any() else ~whole, np.bool_)
+def judged(groups: Bool, agreement: Agreement, lost: Bool) -> Bool:
+    """(G,) groups of segments (G, S) that are judged: some image shows all of them, and they are `lost` (G,) or enough
+    of their contour points tell them from what is behind them. All where that is none.
+    """
+    telling = groups @ agreement.telling >= _CONTRAST * (groups @ agreement.points)
+    known = ~(groups & (agreement.points == 0)).any(axis=1) & (telling | lost)
+    return np.asarray(known if known.any() else ~known, np.bool_)
 
 
 def image_signs(

@@ -20,7 +20,7 @@ from twistcap.estimate import Estimate, Frame
 from twistcap.predict import Prediction
 from twistcap.predict.claims import with_information
 from twistcap.predict.history import Moment, jumped
-from twistcap.search.flag import flag_groups, in_images, segment_deviations, support_signs
+from twistcap.search.flag import flag_groups, judged, segment_deviations, support_signs
 from twistcap.search.memory import LostMemory
 from twistcap.solve import inverse
 from twistcap.stages import stage
@@ -169,7 +169,7 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
 
 
 def _loss(state: State, model: Model, fit: Fit) -> tuple[Float, float]:
-    """(S,) probability that each part is lost, NaN in limbs that no image shows, and that any other limb is.
+    """(S,) probability that each part is lost, NaN in limbs that are not judged, and that any other limb is.
 
     It goes by the tracker's own covariance: what is claimed grows where a body does not fit, and a fit may be poor and
     not lost.
@@ -182,8 +182,8 @@ def _loss(state: State, model: Model, fit: Fit) -> tuple[Float, float]:
         signs, lately = memory.signs, memory.lately
     deviation = segment_deviations(fit.posed, state.covariance)
     limbs = model.flag.limbs(signs, lately, np.array([deviation[group].max() for group in groups]))
-    judged = in_images(groups, fit.agreement)
-    return np.where(judged, limbs, np.nan)[groups.argmax(axis=0)], model.flag.whole(limbs[judged])
+    said = judged(groups, fit.agreement, limbs >= model.flag.lost)
+    return np.where(said, limbs, np.nan)[groups.argmax(axis=0)], model.flag.whole(limbs[said])
 
 
 def _with_priors(model: Model, posed: Posed, known: Float) -> Float:
