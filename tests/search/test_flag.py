@@ -77,7 +77,8 @@ def test_a_limb_that_looks_like_what_is_behind_it_is_not_judged_unless_it_is_los
     groups = flag_groups(humanoid())
     lost = np.zeros(len(groups), np.bool_)
     points = np.full(groups.shape[1], 20, np.int32)
-    telling = np.where(groups[2], 7.0, 9.0).astype(np.float64)
+    telling = np.full(groups.shape[1], 9.0)
+    telling[groups[2]] = 7.0
     alike = Agreement(points, telling, telling)
     np.testing.assert_array_equal(judged(groups, alike, lost), np.arange(len(groups)) != 2)
     lost[2] = True
