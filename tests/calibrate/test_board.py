@@ -73,6 +73,30 @@ def test_an_inverted_board_is_noticed_and_a_mirrored_one_refused(tmp_path: Path)
         found_variant([open_source(blank)], board)
 
 
+@pytest.mark.parametrize(
+    ("said", "filmed", "told"),
+    [
+        ("chessboard:8x5:25", "charuco:5x7:36:27:4X4_50", "charuco:5x7:SQUARE_MM:MARKER_MM:4X4_50"),
+        ("chessboard:5x7:36", "charuco:5x7:36:24:4X4_50", "charuco:5x7:SQUARE_MM:MARKER_MM:4X4_50"),  # by its corners
+        ("charuco:5x7:36:27:4X4_50", "charuco:6x6:30:20:5X5_100", "charuco:6x6:SQUARE_MM:MARKER_MM:5X5_50"),
+        ("charuco:5x7:36:27:4X4_50", "aruco:4x3:40:30:6X6_50", "KIND:COLUMNSxROWS:SQUARE_MM:MARKER_MM:6X6_50"),
+    ],
+)
+def test_another_board_than_was_said_is_named(said: str, filmed: str, told: str, tmp_path: Path) -> None:
+    for k in range(4):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), photographed(board_of(filmed), inverted="charuco" in filmed)[0])
+    with pytest.raises(InputError, match=f"the board, a {board_of(said).kind} .*, but .*--board {told}"):
+        found_variant([open_source(tmp_path)], board_of(said))
+
+
+def test_tags_behind_a_chessboard_do_not_make_it_another(tmp_path: Path) -> None:
+    board, behind = board_of("chessboard:8x5:25"), board_of("charuco:5x7:36:27:4X4_50")
+    both = np.concatenate([photographed(board)[0], photographed(behind)[0]], axis=1)
+    for k in range(4):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), both)
+    assert found_variant([open_source(tmp_path)], board) == board
+
+
 def test_a_chessboard_is_numbered_from_the_same_corner_whichever_way_up() -> None:
     board = board_of("chessboard:8x5:25")
     image, true = photographed(board)

@@ -120,6 +120,20 @@ def test_export_refuses(tracked: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("command", ["export", "view"])
+def test_a_run_is_named_by_its_folder(
+    command: str, tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    options = ("--to", "trc") if command == "export" else ("--save", tmp_path / "a.html")
+    for name in ("refined.h5", "result.h5"):  # as `refine` and `track` write them
+        shutil.copy(tracked / "result.h5", folder / name)
+        assert run(command, folder, *options) == 0
+    told = refusal(capsys, command, tmp_path, *options)
+    assert f"folder {tmp_path} holds no result.h5; name the folder that `twistcap track` wrote, or the file." in told
+
+
 def test_folders_of_files_are_made(tracked: Path, tmp_path: Path) -> None:
     made = tmp_path / "new" / "folder"
     assert run("export", tracked / "result.h5", "--to", "trc", "--out", made / "a.trc") == 0

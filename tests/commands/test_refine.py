@@ -22,7 +22,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert run("track", walk / "session.toml", "--out", out, "--set", "output.overlay=false") == 0
     capsys.readouterr()
     few = ("--set", "rounds=2", "--set", "points=100")
-    assert run("refine", out / "result.h5", "--frames", "1:5", "--json", *few) == 0
+    assert run("refine", out, "--frames", "1:5", "--json", *few) == 0
     output = json.loads(capsys.readouterr().out)
     assert output["frames"] == 5 and len(output["moved_mm"]) == 2
     refined = read_result(output["result"])
@@ -47,6 +47,8 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 def test_the_command_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("refine", tmp_path / "none.h5") == 2
     assert "does not exist" in capsys.readouterr().err
+    assert run("refine", tmp_path, "--cameras") == 2
+    assert f"folder {tmp_path} holds no result.h5; name the folder" in capsys.readouterr().err
     path, body = tmp_path / "result.h5", humanoid()
     with ResultWriter(path, body, Rig((Camera("c", np.eye(3), np.eye(4), (8, 8)),)), {}) as writer:
         writer.append(Estimate(0, 0.0, Pose.rest(body), np.eye(body.dof)))

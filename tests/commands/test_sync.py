@@ -17,7 +17,8 @@ from twistcap.adjust.clocks import Signal
 from twistcap.arrays import Bool, Float
 from twistcap.camera import Rig
 from twistcap.commands import cameras, sync
-from twistcap.commands.cameras import _doubt, _since, mend_cameras, mend_in_words  # pyright: ignore[reportPrivateUsage]
+from twistcap.commands.cameras import _doubt, _since, mend_cameras, mend_in_words, places_and_clocks  # pyright: ignore[reportPrivateUsage]
+from twistcap.errors import InputError
 from twistcap.estimate import Estimate
 from twistcap.io.calibration import read_rig, write_rig
 from twistcap.io.clocks import Clock
@@ -138,18 +139,65 @@ def test_what_mends_a_camera_is_said_where_it_is_left_out_to_the_end() -> None:
     out[5:, 1], out[5:20, 2] = True, True  # the other one is believed again
     still = np.zeros((30, 4, 3))
     result = SimpleNamespace(rig=rig, left_out=out, bumps=still)
-    (sentence,) = mend_in_words(result, Path("out/result.h5"))
-    assert rig.names[1] in sentence and "twistcap refine out/result.h5 --cameras" in sentence
-    first, second = mend_in_words(result, Path("out/result.h5"), [3])
-    assert first == sentence and f"Camera {rig.names[3]} seems to stand elsewhere" in second
-    (sentence,) = mend_in_words(SimpleNamespace(rig=rig, left_out=out, bumps=still), Path("a walk/result.h5"))
-    assert "twistcap refine 'a walk/result.h5' --cameras" in sentence
+    (said,) = mend_in_words(result, Path("out/result.h5"))
+    mend = "finds its new place; if late, twistcap sync its offset."
+    refine = "twistcap refine out/result.h5"
+    assert said == f"Camera cam1 was left out to the end. If it was bumped, {refine} --cameras {mend}"
+    (said,) = mend_in_words(SimpleNamespace(rig=rig, left_out=out, bumps=still), Path("a walk/result.h5"))
+    assert "twistcap refine 'a walk/result.h5' --cameras" in said
     bumped = still.copy()
     bumped[20:, 3] = 0.02
-    _, second = mend_in_words(SimpleNamespace(rig=rig, left_out=out, bumps=bumped), Path("out/result.h5"))
-    assert f"Camera {rig.names[3]} still stands bumped. twistcap refine out/result.h5 --cameras" in second
-    out[5:, 2:] = True  # and one camera mends no others
-    assert mend_in_words(result, Path("out/result.h5"), [0]) == []
+    alone = SimpleNamespace(rig=rig, left_out=np.zeros_like(out), bumps=bumped)
+    (said,) = mend_in_words(alone, Path("out/result.h5"))
+    assert said == f"Camera cam3 still stands bumped. {refine} --cameras finds its new place."
+    assert mend_in_words(SimpleNamespace(rig=rig, left_out=np.zeros_like(out), bumps=still), Path("x.h5")) == []
+
+
+@pytest.mark.parametrize(
+    ("cameras", "elsewhere", "again", "mend"),
+    [
+        (4, (1, 3), (), "If they were bumped, twistcap refine x.h5 --cameras finds their new places; if late"),
+        (
+            4,
+            (1, 3),
+            (2,),
+            "If they were bumped, twistcap refine x.h5 --camera cam1 --camera cam3 finds their new places",
+        ),
+        (
+            3,
+            (1, 2),
+            (),
+            "If one alone was bumped, name it, as twistcap refine x.h5 --camera cam1; if more were, calibr",
+        ),
+        (4, (0, 1, 2, 3), (), "If one alone was bumped, name it, as twistcap refine x.h5 --camera cam0; if more were"),
+        (2, (1,), (), "If it was bumped, calibrate again: two others must be right to find its new place; if late"),
+    ],
+)
+def test_what_mends_several_cameras_is_what_refine_can_do(
+    cameras: int, elsewhere: tuple[int, ...], again: tuple[int, ...], mend: str
+) -> None:
+    """`again` were left out for long, and are believed again: `--cameras` takes them for wrong."""
+    rig, out = replace(ring(), cameras=ring().cameras[:cameras]), np.zeros((30, cameras), np.bool_)
+    out[5:20, list(again)] = True
+    result = SimpleNamespace(rig=rig, left_out=out, bumps=np.zeros((30, cameras, 3)))
+    (said,) = mend_in_words(result, Path("x.h5"), elsewhere)
+    facts = [f"Camera {rig.names[c]} seems to stand elsewhere than it was calibrated." for c in elsewhere]
+    assert said.startswith(f"{' '.join(facts)} {mend}")
+
+
+def test_two_cameras_must_be_right_to_mend_others() -> None:
+    rig = replace(ring(), cameras=ring().cameras[:3])
+    result = SimpleNamespace(rig=rig, left_out=np.zeros((30, 3), np.bool_), bumps=np.zeros((30, 3, 3)))
+    mend = "two must be right to mend the others: name one alone with --camera, or calibrate again"
+    with pytest.raises(InputError, match=f"of 3 cameras cam0, cam2 are wrong; {mend}"):
+        cameras._wrong(result, [], [0, 2], Path("x.h5"))  # pyright: ignore[reportPrivateUsage]
+
+
+def test_places_are_found_before_clocks() -> None:
+    """A camera that was bumped seems late."""
+    assert places_and_clocks([], ["late"]) == ["late"] and places_and_clocks(["bumped"], []) == ["bumped"]
+    place, order, clock = places_and_clocks(["bumped"], ["late"])
+    assert (place, clock) == ("bumped", "late") and order.endswith("find the places first.")
 
 
 def test_a_bumped_camera_is_mended(walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -339,9 +339,9 @@ def test_storages_refuse_what_grows(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        ((), "that is kept"),
-        (("--unit", "0.9"), "that is kept"),
-        (("--up", "-y"), "that is kept"),
+        ((), "floor = false is written"),
+        (("--unit", "0.9"), "floor = false is written"),
+        (("--up", "-y"), "floor = false is written"),
         (("--to", "easymocap"), "easymocap cannot say that, so set [cameras] floor = false in the session"),
     ],
 )
@@ -354,6 +354,23 @@ def test_a_floor_that_is_not_known_stays_so(
         said = document(capsys, "convert", tmp_path / "in.toml", out, "--overwrite", *options)["statements"]
         assert (f"The calibration does not know the floor: {told}." in said) is not known
         assert "--to" in options or knows_floor(out) is known
+
+
+@pytest.mark.parametrize(
+    ("to", "told"),
+    [
+        ("toml", "floor = false is written"),
+        ("easymocap", "easymocap cannot say that, so set [cameras] floor = false in the session"),
+    ],
+)
+def test_the_floor_of_opencap_is_not_known(
+    to: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_cameras(rig_with([0.0] * 5), tmp_path / "Videos", "opencap")
+    out = tmp_path / f"out{FORMATS[to].ending}"
+    said = document(capsys, "convert", tmp_path / "Videos", out, "--to", to)["statements"]
+    why = "OpenCap's world begins at its checkerboard, so the height of the floor is not known"
+    assert f"{why}: {told}." in said and (to != "toml" or not knows_floor(out))
 
 
 @pytest.mark.parametrize("name", list(FORMATS))

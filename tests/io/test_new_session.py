@@ -86,6 +86,16 @@ def test_one_camera_is_not_enough(recorded: Path, capsys: pytest.CaptureFixture[
     assert new(recorded, recorded / "videos" / "cam1.mp4") == 0
     told = capsys.readouterr().err
     assert told.startswith("1 camera (cam1), ") and "Next, film with a second camera" in told
+    assert "a first pose is found neither in its images nor by keypoints or clicks. Else give the pose" in told
+    assert "twistcap init" not in told and "Keypoints: none" not in told
+    assert '# file = "other/result.h5"' in (recorded / "mine" / "session.toml").read_text()
+    session, why = recorded / "mine" / "session.toml", "camera cam1 alone gives no first pose, not in its images, by"
+    for command in ("track", "init"):
+        assert run(command, session) == 2
+        assert f"{why} keypoints or by clicks, as one view does not show depth; add a second" in capsys.readouterr().err
+    (recorded / "mine" / "first_pose.json").write_text("{}")
+    assert new(recorded, recorded / "videos" / "cam1.mp4", extra=("--force",)) == 0
+    assert "Next, track:" in capsys.readouterr().err
 
 
 def test_what_is_there_is_not_missing(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:

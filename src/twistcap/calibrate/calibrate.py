@@ -13,6 +13,7 @@ from twistcap.calibrate.board import Board
 from twistcap.calibrate.clocks import motions, offsets
 from twistcap.calibrate.detect import Detector, is_mirrored, variants
 from twistcap.calibrate.lens import Kind
+from twistcap.calibrate.other import is_contradicted, other_in_words, tagged
 from twistcap.calibrate.sightings import LONE, Looker, Sighting, by_camera, by_moment, chosen, look, sharp
 from twistcap.calibrate.start import LensFit, chained, fitted_lens
 from twistcap.calibrate.terms import Solid, flat
@@ -23,6 +24,7 @@ from twistcap.errors import InputError
 from twistcap.io.video import Source
 
 _SAMPLES = 24  # images of each camera by which the variant of the board is found
+_FEW = 12  # images that show whether another board was filmed
 _SHIFTED = 0.5  # frames; a clock that is later is paired with other frames
 _PAIRINGS = 4
 _DENSE = 0.12  # s from one look to the next, at which the motion of a board in hands is seen
@@ -191,8 +193,14 @@ def _by_motion(
 
 
 def found_variant(sources: Sequence[Source], board: Board) -> Board:
-    """The board, or the variant of it that images show. Raises InputError where they show none, or a mirrored one."""
+    """The board, or the variant of it that images show.
+
+    Raises InputError where they show none, a mirrored one, or another board, which a few of them tell.
+    """
     images = [i for source in sources for i in source.read(_spread(source, _SAMPLES)) if i is not None]
+    few = images[:: max(1, len(images) // _FEW)]
+    if board.kind == "chessboard" and is_contradicted(board, tags := tagged(few)):
+        raise InputError(f"the pictures do not show the board, a {board.words}{other_in_words(board, tags)}.")
     counts = dict[Board, int]()
     for variant in variants(board):
         find = Detector(variant)
@@ -203,7 +211,7 @@ def found_variant(sources: Sequence[Source], board: Board) -> Board:
     if counts[best] == 0 and is_mirrored(board, images):
         raise InputError("the board is seen mirrored; the videos are flipped (as a selfie is), or its print is.")
     if counts[best] == 0:
-        raise InputError(f"no picture shows the board, a {board.words}; check --board, or film it nearer and slower.")
+        raise InputError(f"no picture shows the board, a {board.words}{other_in_words(board, tagged(few))}.")
     return best
 
 

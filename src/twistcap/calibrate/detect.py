@@ -42,7 +42,7 @@ class Detector:
 
     def __call__(self, image: UInt8) -> Found | None:
         """The board in an image (H, W[, 3]); None where fewer than six of its points are seen."""
-        grey = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
+        grey = in_grey(image)
         if self.board.inverted:
             grey = np.asarray(255 - grey, np.uint8)
         ids, pixels = self._finder(grey)
@@ -96,6 +96,11 @@ class Detector:
         if self.board.kind == "aruco":
             return cv2.aruco.ArucoDetector(self.board.pattern.getDictionary(), parameters)
         return cv2.aruco.CharucoDetector(self.board.pattern, cv2.aruco.CharucoParameters(), parameters)
+
+
+def in_grey(image: UInt8) -> UInt8:
+    """(H, W) of an image (H, W[, 3])."""
+    return np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
 
 
 def variants(board: Board) -> Iterator[Board]:

@@ -104,25 +104,50 @@ def _in_file(given: Any, turned: Any, mended: Any, names: Sequence[str]) -> Any:
 
 
 def mend_in_words(result: Any, path: Path, elsewhere: Collection[int] = ()) -> list[str]:
-    """A sentence that says how cameras are mended that were left out often, also at the end, or were suspected there to
-    stand `elsewhere`.
+    """One statement on the cameras that were left out often, also at the end, or stand bumped or seem to stand
+    `elsewhere` there, with what is to be done; none where all is well.
+    """
+    out, bumped = _wrong_in(result), np.any(result.bumps[-1:], axis=2).any(axis=0)
+    facts = dict[str, str]()
+    for c, name in enumerate(result.rig.names if len(out) else ()):
+        if out[-1, c] and bumped[c]:
+            facts[name] = "still stands bumped"
+        elif out[-1, c] and out[:, c].sum() >= _OFTEN:
+            facts[name] = "was left out to the end"
+        elif c in elsewhere:
+            facts[name] = ELSEWHERE
+    if not facts:
+        return []
+    left = len(result.rig) - len({*_often(out), *elsewhere})  # that `--cameras` would believe
+    said = [f"Camera {name} {fact}." for name, fact in facts.items()]
+    late = set(facts.values()) != {"still stands bumped"}
+    return [" ".join([*said, _mend(path, list(facts), len(result.rig) - len(facts), left, late)])]
+
+
+def places_and_clocks(places: list[str], clocks: list[str]) -> list[str]:
+    """What is said of the places and of the clocks of cameras; where of both, which is to be found first."""
+    first = ["A camera that stands elsewhere seems late too, and may make others seem so: find the places first."]
+    return [*places, *(first if places and clocks else []), *clocks]
+
+
+def _mend(path: Path, names: Sequence[str], others: int, left: int, late: bool) -> str:
+    """What is to be done about cameras; `others` are not named, `left` would be believed if none is named to `refine`.
+
+    Without `late` it is sure that they were bumped.
     """
     from twistcap.io.files import pasted
 
-    out = _wrong_in(result)
-    if not len(out) or len(result.rig) - len({*np.flatnonzero(out[-1]), *elsewhere}) < 2:
-        return []
-    refine = f"twistcap refine {pasted(path)} --cameras finds its new place"
-    mend = f"If it was bumped, {refine}; if late, twistcap sync its offset."
-    told = list[str]()
-    for c, name in enumerate(result.rig.names):
-        if out[-1, c] and np.any(result.bumps[-1, c]):
-            told.append(f"Camera {name} still stands bumped. {refine}.")
-        elif out[-1, c] and out[:, c].sum() >= _OFTEN:
-            told.append(f"Camera {name} was left out to the end. {mend}")
-        elif c in elsewhere:
-            told.append(f"Camera {name} {ELSEWHERE}. {mend}")
-    return told
+    refine = f"twistcap refine {pasted(path)}"
+    it_was, its, s = ("it was", "its", "") if len(names) == 1 else ("they were", "their", "s")
+    sync = f"; if late, twistcap sync {its} offset{s}" if late else ""
+    if others < 2 and len(names) == 1:
+        return f"If {it_was} bumped, calibrate again: two others must be right to find its new place{sync}."
+    if others < 2:
+        one = f"If one alone was bumped, name it, as {refine} --camera {pasted(names[0])}"
+        return f"{one}; if more were, calibrate again: two must be right to find the places of others{sync}."
+    which = "--cameras" if left >= 2 else " ".join(f"--camera {pasted(name)}" for name in names)
+    found = f"{refine} {which} finds {its} new place{s}"
+    return f"If {it_was} bumped, {found}{sync}." if late else f"{found}."
 
 
 def _suspected(result: Any, session: Any, path: Path) -> dict[int, int]:
@@ -153,15 +178,22 @@ def _wrong(result: Any, names: Sequence[str], suspected: Collection[int], path: 
                 f"--camera names {name!r}, which {path} does not have; it has {', '.join(result.rig.names)}."
             )
     wrong = [result.rig.names.index(name) for name in names]
-    often = np.flatnonzero(_wrong_in(result).sum(axis=0) >= _OFTEN).tolist()
-    wrong = wrong or sorted({*often, *suspected})
+    wrong = wrong or sorted({*_often(_wrong_in(result)), *suspected})
     if not wrong:
         none = f"no camera was left out or stood bumped in {_OFTEN} frames, or seemed to stand elsewhere at the end"
         raise InputError(f"{path}: {none}; name one that is wrong with --camera.")
     if len(result.rig) - len(wrong) < 2:
         bad = ", ".join(result.rig.names[c] for c in wrong)
-        raise InputError(f"{path}: of {len(result.rig)} cameras {bad} are wrong; two must be right to mend the others.")
+        raise InputError(
+            f"{path}: of {len(result.rig)} cameras {bad} are wrong; two must be right to mend the others:"
+            f" name one alone with --camera, or calibrate again."
+        )
     return wrong
+
+
+def _often(wrong: Any) -> list[int]:
+    """Numbers of the cameras that were wrong in many frames of (N, C)."""
+    return np.flatnonzero(wrong.sum(axis=0) >= _OFTEN).tolist()
 
 
 def _mended(

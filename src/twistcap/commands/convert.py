@@ -44,7 +44,7 @@ def convert(
     """
     from twistcap.io.cameras import FORMATS, Asked, read_cameras
     from twistcap.io.cameras.axes import Up
-    from twistcap.io.cameras.formats import floor_known
+    from twistcap.io.cameras.formats import floor_doubt
     from twistcap.io.cameras.units import unit_of
 
     check_choice("--to", to, FORMATS)
@@ -54,7 +54,7 @@ def convert(
     asked = Asked(None if unit is None else unit_of(unit), None if size is None else terminal.image_size(size))
     rig, statements = read_cameras(source, of, asked, axis)
     _check_out(source, out, FORMATS[to])
-    statements += _written(rig, out, to, floor_known(source, of), overwrite)
+    statements += _written(rig, out, to, floor_doubt(source, of), overwrite)
     if json:
         centres = {camera.name: camera.centre for camera in rig}
         about = {"id": "convert", "file": out, "centres_m": centres}
@@ -70,14 +70,14 @@ def convert(
         )
 
 
-def _written(rig: Rig, out: Path, to: str, floor: bool, overwrite: bool) -> list[str]:
+def _written(rig: Rig, out: Path, to: str, doubt: str, overwrite: bool) -> list[str]:
     """As `write_cameras`, elsewhere first: its files take their places once all are written and all places are free."""
     from twistcap.io.cameras import write_cameras
     from twistcap.io.files import replacing
 
     with TemporaryDirectory() as folder:
         draft = Path(folder) / "out"
-        statements = write_cameras(rig, draft, to, floor)
+        statements = write_cameras(rig, draft, to, doubt)
         goals = {out / file.relative_to(draft): file for file in (draft, *draft.rglob("*")) if file.is_file()}
         terminal.check_free(*goals, overwrite=overwrite)
         for goal, file in goals.items():

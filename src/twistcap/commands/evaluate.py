@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def evaluate(
-    result: Annotated[Path, typer.Argument(help="result.h5 of a track.", metavar="RESULT")],
+    result: terminal.ResultFile,
     reference: Annotated[
         Path, typer.Option(help="Truth or keypoints (.npz), .trc, .c3d, .mot, .sto, or a folder CAM/frame_XXXX.png.")
     ],

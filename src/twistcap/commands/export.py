@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def export(
-    result: Annotated[Path, typer.Argument(help="result.h5 of a track.", metavar="RESULT")],
+    result: terminal.ResultFile,
     to: Annotated[
         str, typer.Option(help="trc, mot, bvh, csv, glb, usd, c3d, opensim, or a format of an installed package.")
     ],

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def gait(
-    result: Annotated[Path, typer.Argument(help="result.h5 of a track.", metavar="RESULT")],
+    result: terminal.ResultFile,
     out: Annotated[Path | None, typer.Option(help="Folder to write to. Default: beside the result.")] = None,
     filter_: Annotated[str, typer.Option("--filter", help="Of angles: butterworth, smoother.")] = "butterworth",
     cutoff: Annotated[

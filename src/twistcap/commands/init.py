@@ -62,7 +62,11 @@ def save(clicking: Any, question: Mapping[str, Any]) -> Mapping[str, Any]:
 def clicking_of(
     session: Any, path: Path, out: Path | None = None, detector: str | None = None, people: str | None = None
 ) -> Any:
-    """What `init` serves, with existing clicks or keypoints; InputError for session, videos, detector or `out`."""
+    """What `init` serves, with existing clicks or keypoints.
+
+    InputError for session, videos, detector or `out`, and for a camera alone without a saved pose.
+    """
+    from twistcap.adjust.first_pose.keypoints import check_views
     from twistcap.io.detectors import detected
     from twistcap.io.recording import body_of, rig_of, views_of
     from twistcap.io.unaided import silhouettes_of
@@ -77,6 +81,8 @@ def clicking_of(
     if keypoints is not None:
         clicking.clicks = clicks_of(keypoints, rig, body.landmarks.names)
     _with_saved_pose(clicking)
+    if clicking.shown is None:
+        check_views(rig)
     return clicking
 
 

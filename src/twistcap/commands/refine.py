@@ -16,7 +16,7 @@ from twistcap.errors import InputError, check
 
 
 def refine(
-    result: Annotated[Path, typer.Argument(help="result.h5 of a track.", metavar="RESULT")],
+    result: terminal.ResultFile,
     out: Annotated[
         Path | None, typer.Option(help="Folder for all files. Default: `refined` in the folder of RESULT.")
     ] = None,
@@ -54,7 +54,7 @@ def refine(
 
       twistcap refine out/walk/result.h5 --frames 0:59 --set joint=0 --out out/walk-refined
 
-      twistcap refine out/walk/result.h5 --cameras
+      twistcap refine out/walk --cameras
 
       twistcap refine out/walk/refined/refined.h5 --stature 1.75
     """

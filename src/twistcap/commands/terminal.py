@@ -191,6 +191,21 @@ def frame_range(text: str | None, option: str = "--frames") -> tuple[int, int] |
     return int(first), int(last)
 
 
+def result_file(path: Path) -> Path:
+    """The result that a run's folder holds; a path that is no folder stays. Raises InputError for one without any."""
+    if not path.is_dir():
+        return path
+    for name in ("result.h5", "refined.h5"):  # as `track` and `refine` write them
+        if (path / name).is_file():
+            return path / name
+    raise InputError(f"folder {path} holds no result.h5; name the folder that `twistcap track` wrote, or the file.")
+
+
+ResultFile = Annotated[
+    Path, typer.Argument(help="result.h5 of a track, or its folder.", metavar="RESULT", callback=result_file)
+]
+
+
 def tracked(path: Path, frames: str | None = None) -> Result:
     """The result in a file, of the frames FIRST:LAST if given. Raises InputError where it has none of them."""
     from twistcap.io.result import read_result

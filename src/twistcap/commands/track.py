@@ -84,7 +84,7 @@ class Begin:
 
 def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str, Any]:
     """Track a session into a folder; what ``--json`` prints."""
-    from twistcap.commands.cameras import mend_in_words
+    from twistcap.commands.cameras import mend_in_words, places_and_clocks
     from twistcap.commands.clocks import clocks_in_words
     from twistcap.io.lock import WriteLock
     from twistcap.io.result import read_result
@@ -99,7 +99,8 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
         with words.status("comparing the cameras' clocks"):
             apart = clocks_in_words(session, views, result, watched)
         elsewhere = () if watched is None else np.flatnonzero(watched.since >= 0).tolist()
-        statements = [*result_in_words(result), *mend_in_words(result, path, elsewhere), *apart]
+        wrong = places_and_clocks(mend_in_words(result, path, elsewhere), apart)
+        statements = [*result_in_words(result), *wrong]
         files = [path, *_outputs(session, views, result, folder, timing, norms, statements)]
     lost = result.indices[result.lost].tolist()
     out, turned = (

@@ -22,7 +22,7 @@ _FRAMES = 120  # with images
 
 
 def view(
-    results: Annotated[list[Path], typer.Argument(help="One or more result.h5.", metavar="RESULT...")],
+    results: Annotated[list[Path], typer.Argument(help="One or more result.h5, or folders.", metavar="RESULT...")],
     save: Annotated[Path | None, typer.Option(help="Write one HTML file and serve nothing.")] = None,
     reference: Annotated[
         Path | None, typer.Option(help="Truth to show too: .npz, .trc, .c3d, .mot or .sto.", metavar="REF")
@@ -49,7 +49,7 @@ def view(
 
     if save is not None:
         terminal.output_file(save, "--save", ".html")
-    page = _page(results, reference, session, width, images)
+    page = _page(list(map(terminal.result_file, results)), reference, session, width, images)
     if save is None:
         serve(page, {}, port)
         return

@@ -21,6 +21,11 @@ from twistcap.io.video import Source, check_size, is_there, open_source
 
 VIDEO_ENDINGS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts"}
 _ENDS = 3  # frames at both ends of a video that are decoded before all is said to be well
+_FILE_LINES = (
+    "\n[first_pose]",
+    "# One camera does not show depth, so the pose must be given, here or as first_pose.json beside this file:",
+    '# file = "other/result.h5"   # or a pose as JSON or NPZ',
+)
 _POSE_LINES = (
     "\n[first_pose]",
     "# Where nothing is given, it is found in the images, unless first_pose.json lies here:",
@@ -225,7 +230,7 @@ def _pose_lines(draft: Draft, folder: Path) -> Sequence[str]:
         named = {"model": draft.detector} | ({"people": draft.people} if draft.people else {})
         return ["\n[first_pose.detector]", *(f"{key} = {_model(name, folder)}" for key, name in named.items())]
     if not draft.keypoints:
-        return _POSE_LINES
+        return _POSE_LINES if len(draft.rig) > 1 else _FILE_LINES
     paths = {json.dumps(name, ensure_ascii=False): _path(path, folder) for name, path in draft.keypoints.items()}
     return [
         "\n[first_pose.keypoints]",
@@ -271,14 +276,15 @@ def _rates_differ(draft: Draft) -> bool:
 def missing(draft: Draft, session: Path, stature: float | None) -> list[str]:
     """What a track still lacks, in sentences that say what to do."""
     out: list[str] = []
-    if len(draft.rig) < 2:
-        out.append("A second view: one camera does not show depth, and a first pose cannot be clicked.")
+    pose, alone = session.parent / "first_pose.json", len(draft.rig) < 2
+    if alone:
+        ways = "so a first pose is found neither in its images nor by keypoints or clicks"
+        out.append(f"A second view: one camera does not show depth, {ways}. Else give the pose: [first_pose] file.")
     if stature is None:
         out.append("The body: it is the built-in person of 1.75 m. Put the true height into [body] stature.")
     if not draft.rates:
         out.append("The frame rate: 60 is set. Put the true one into fps.")
-    pose = session.parent / "first_pose.json"
-    if not pose.is_file() and not draft.keypoints and draft.detector is None:
+    if not alone and not pose.is_file() and not draft.keypoints and draft.detector is None:
         by_clicks = f"click it with:  twistcap init {pasted(session)}"
         out.append(f"The first pose: track looks for it in the images. If it is not clear there, {by_clicks}")
         out.append("Keypoints: none are named. They can replace the search ([first_pose.keypoints] in the file).")
@@ -287,7 +293,7 @@ def missing(draft: Draft, session: Path, stature: float | None) -> list[str]:
 
 def next_steps(draft: Draft, session: Path, failed: bool = False) -> list[str]:
     """What comes next, in sentences with the command; `failed` where keypoints gave no first pose."""
-    if len(draft.rig) < 2:
+    if len(draft.rig) < 2 and not (session.parent / "first_pose.json").is_file():
         return ["Next, film with a second camera, calibrate both, and begin anew."]
     clocks, init, track = (f"twistcap {command} {pasted(session)}" for command in ("sync", "init", "track"))
     steps = [f"find the clocks of the cameras:  {clocks}"] if _rates_differ(draft) else []

@@ -18,6 +18,7 @@ from twistcap.errors import InputError
 from twistcap.io.calibration import Unit, knows_floor, rig_text
 from twistcap.io.cameras import Asked, format_named
 from twistcap.io.cameras.axes import Up, axis_up, up_instead_of_z, with_z_up
+from twistcap.io.cameras.formats import OPENCAP_FLOOR
 from twistcap.io.cameras.units import session_unit, toml_unit, unit_of
 from twistcap.io.keypoint_format import fitting_format
 from twistcap.io.keypoints import LAYOUTS
@@ -165,7 +166,7 @@ def _opencap(folder: Path, trial: str | None) -> Project | None:
             videos.append((camera.name, str((synced or files)[0])))
     metadata = folder / "sessionMetadata.yaml"
     height = re.search(r"(?m)^height_m:\s*([0-2]\.\d{1,9})\s*$", read_text(metadata)) if metadata.is_file() else None
-    floor = "OpenCap's world begins at its checkerboard, so the height of the floor is not known: floor = false is set."
+    floor = f"{OPENCAP_FLOOR}: floor = false is set."
     stature = float(height[1]) if height else None
     return Project("OpenCap", folder / "Videos", "opencap", videos, stature=stature, floor_known=False, notes=(floor,))
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from twistcap.adjust.first_pose.keypoints import check_views
 from twistcap.adjust.first_pose.triangulate import nearest_points
 from twistcap.adjust.unaided import Proof, ProofRule, Unaided, middle_of_sight, scenery_of
 from twistcap.adjust.unaided.scenery import Still
@@ -38,9 +39,10 @@ def found_unaided(session: Session, body: Body, views: Views, floor: float | Non
     """The first pose of the frames, from their images alone.
 
     Raises:
-        InputError: where it is not clear enough to be believed, a plate cannot be read, or the pixels of
-            ``[first_pose] at`` are none of one person.
+        InputError: for a camera alone, where the pose is not clear enough to be believed, a plate cannot be read, or
+            the pixels of ``[first_pose] at`` are none of one person.
     """
+    check_views(views.rig)
     middle = middle_of_sight(views.image_rig)
     views = replace(views, scale=views.scale * _smaller(views.image_rig, middle))
     settings = replace(session.tracker_settings, predictor="constant_velocity")

@@ -60,6 +60,7 @@ def evidence(body: Body, rig: Rig, keypoints: Keypoints, sigma_px: float | None 
     or fewer than two views.
     """
     _check(rig, keypoints)
+    check_views(rig)
     known = {name: i for i, name in enumerate(body.landmarks.names)}
     columns = np.array([i for i, name in enumerate(keypoints.names) if name in known], np.int32)
     names = [keypoints.names[i] for i in columns]
@@ -75,6 +76,14 @@ def evidence(body: Body, rig: Rig, keypoints: Keypoints, sigma_px: float | None 
     sigma = base[:, None] * np.array([_LOOSENESS.get(unsided(name), 1.0) for name in names])
     marks = np.array([known[n] for n in names], np.int32)
     return Evidence(marks, columns, rig.pinhole(), np.nan_to_num(pixels), weights, sigma)
+
+
+def check_views(rig: Rig) -> None:
+    """Raises InputError for a camera alone, where no way of finding a first pose knows the depth."""
+    if len(rig) < 2:
+        ways = "not in its images, by keypoints or by clicks, as one view does not show depth"
+        mend = "add a second camera, or give the pose itself, as [first_pose] file"
+        raise InputError(f"camera {rig.names[0]} alone gives no first pose, {ways}; {mend}.")
 
 
 def _check(rig: Rig, keypoints: Keypoints) -> None:

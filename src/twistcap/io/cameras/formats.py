@@ -20,6 +20,8 @@ from twistcap.io.cameras.units import in_metres, scaled
 from twistcap.io.files import unwritable
 from twistcap.io.plausible import check_plausible
 
+OPENCAP_FLOOR = "OpenCap's world begins at its checkerboard, so the height of the floor is not known"
+
 
 @dataclass(frozen=True)
 class CameraFormat:
@@ -131,14 +133,17 @@ def read_cameras(
     return rig, [statement, *([unit] if unit else [])]
 
 
-def floor_known(path: Path, name: str | None = None) -> bool:
-    """Whether z = 0 is the floor in a calibration of a format; only a Calib.toml can say that it is not."""
-    return (name or format_of(path).name) != "toml" or knows_floor(path)
+def floor_doubt(path: Path, name: str | None = None) -> str:
+    """Why z = 0 is not known to be the floor in a calibration of a format; "" where nothing speaks against it."""
+    kind = name or format_of(path).name
+    if kind == "opencap":
+        return OPENCAP_FLOOR
+    return "The calibration does not know the floor" if kind == "toml" and not knows_floor(path) else ""
 
 
-def write_cameras(rig: Rig, path: Path, name: str, floor: bool = True) -> list[str]:
-    """Write a rig in a format; `floor` is whether z = 0 is the floor. Sentences where the format names cameras
-    otherwise, and where the floor is not known.
+def write_cameras(rig: Rig, path: Path, name: str, doubt: str = "") -> list[str]:
+    """Write a rig in a format; `doubt` is why z = 0 is not known to be the floor. Sentences where the format names
+    cameras otherwise, and where the floor is not known.
 
     Raises InputError for a lens that the format cannot say, or a place that cannot be written.
     """
@@ -147,7 +152,7 @@ def write_cameras(rig: Rig, path: Path, name: str, floor: bool = True) -> list[s
         check(f"camera {camera!r}", Path(camera).name == camera, "its name can be no file's; give it another in IN")
     try:
         if name == "toml":
-            write_rig(rig, path, floor=floor)
+            write_rig(rig, path, floor=not doubt)
         else:
             kind.write(rig, path)
     except OSError as error:
@@ -155,7 +160,6 @@ def write_cameras(rig: Rig, path: Path, name: str, floor: bool = True) -> list[s
     there = rig.names if kind.renamed is None else kind.renamed(rig.names)
     pairs = ", ".join(f"{mine} = {theirs}" for mine, theirs in zip(rig.names, there, strict=True) if mine != theirs)
     names = [f"In {name} cameras have other names: {pairs}. Name their videos so."] if pairs else []
-    kept = (
-        "that is kept" if name == "toml" else f"{name} cannot say that, so set [cameras] floor = false in the session"
-    )
-    return names if floor else [*names, f"The calibration does not know the floor: {kept}."]
+    unsaid = f"{name} cannot say that, so set [cameras] floor = false in the session"
+    kept = "floor = false is written" if name == "toml" else unsaid
+    return [*names, f"{doubt}: {kept}."] if doubt else names
