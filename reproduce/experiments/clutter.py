@@ -18,7 +18,6 @@ from twistcap.evaluate.metrics import JOINT_CENTRES, Row, row
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Settings
 
-_FOR_NOISE = Settings(despeckle=3)
 WITHOUT, WITH = "without prior", "with prior"
 
 
@@ -51,7 +50,7 @@ C5 = Comparison(
     "50 rectangles and 25 % uniform noise in every image of 2 views, anew each time: followed with the pose prior",
     "mean joint error, mm",
     cluttered,
-    (Arm(WITHOUT, _FOR_NOISE), Arm(WITH, _FOR_NOISE, "another's walk")),
+    (Arm(WITHOUT, Settings()), Arm(WITH, Settings(), "another's walk")),
     _error,
     _rows,
     shown=(40, 0),

@@ -87,7 +87,7 @@ def build(
         body, rig.pinhole(), (contour, *brightness, *more.cues),
         (*more.predictors, *predictors_of(settings, body, rig, motions)), (*priors, *more.priors),
         (LostBody(), *more.searches), Schedule(looks, contour.alternations, contour.slip),
-        None if prior is None else OcclusionRule(), channels=settings.channels, despeckle=settings.despeckle,
+        None if prior is None else OcclusionRule(), channels=settings.channels,
     )  # fmt: skip
 
 

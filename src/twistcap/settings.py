@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from twistcap.differential.settings import DifferentialConfig
-from twistcap.errors import InputError, check
+from twistcap.errors import InputError
 from twistcap.features import Channels
 from twistcap.motion import MotionKind
 from twistcap.ranges import Checked, Positive
@@ -23,8 +23,6 @@ class Settings(Checked, where="tracker"):
         method: "direct" measures contours along their normals. "levelset" finds them by a coupled level set.
             "differential" tracks by brightness alone and reads only the table of that name.
         channels: what region statistics look at: "grey", "lab", "grey+texture" (5 channels) or "lab+texture" (7).
-        despeckle: px across of a median filter of all images, 1, 3 or 5. It takes out single wrong pixels, as noise on
-            a video line leaves them. 1 leaves the images as they are.
         density: what the densities of the regions are: "local" Gaussians, one "global" Gaussian for each region, or
             "parzen", one smoothed histogram for each region.
         statistics: whether densities inside are of each "part" or of the "whole" body. The default is "part" for local
@@ -47,7 +45,6 @@ class Settings(Checked, where="tracker"):
 
     method: Literal["direct", "levelset", "differential"] = "direct"
     channels: Channels = "lab"
-    despeckle: int = 1
     density: Density = "local"
     statistics: Statistics | None = None
     surface_sigma: float = 0.0
@@ -65,4 +62,3 @@ class Settings(Checked, where="tracker"):
         super().__post_init__()
         if isinstance(self.plugins, str) or len(set(self.plugins)) < len(self.plugins):
             raise InputError(f"tracker: plugins is {self.plugins!r}; give a list of names, each once.")
-        check("tracker", self.despeckle in (1, 3, 5), f"despeckle is {self.despeckle}; it must be 1, 3 or 5")

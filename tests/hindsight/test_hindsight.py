@@ -163,11 +163,13 @@ def test_the_poses_of_all_frames_that_may_be_corrected_are_remembered() -> None:
 
 def test_passed_frames_are_judged_in_pictures_like_those_that_were_learned(monkeypatch: pytest.MonkeyPatch) -> None:
     _, model, passed, _, state = walk()
-    image, judged = passed[0].frame.images[0], list[Any]()
+    image, judged = passed[0].seen.images[0], list[Any]()
     assert image is not None
+    noisy = np.where(np.random.default_rng(0).random(image.shape[:2])[..., None] < 0.2, 255 - image, image)
     monkeypatch.setattr(Recollection, "evidence", lambda _, problem: judged.append(problem.frame.images[0]))
-    evidence_in(replace(model, despeckle=3), state, passed[0])
-    assert np.array_equal(judged[0], cv2.medianBlur(image, 3))
+    seen = replace(passed[0].frame, images=(noisy, *passed[0].seen.images[1:]))
+    evidence_in(model, state, replace(passed[0], frame=seen))
+    assert np.array_equal(judged[0], cv2.medianBlur(noisy, 3))
 
 
 def test_a_limb_may_be_put_elsewhere_twice_in_a_row() -> None:

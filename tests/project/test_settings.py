@@ -64,7 +64,7 @@ def test_all_rules_and_settings_are_checked() -> None:
 
 
 @pytest.mark.parametrize(
-    "table", ["solver_steps = 0", "inflation = nan", "keypoint_sigma = nan", "surface_sigma = 1e300", "despeckle = 2",
+    "table", ["solver_steps = 0", "inflation = nan", "keypoint_sigma = nan", "surface_sigma = 1e300",
               "first_sigma_deg = -0.0", "[differential]\nstray_deg = inf"],
 )  # fmt: skip
 def test_a_session_says_which_setting(table: str) -> None:

@@ -25,7 +25,7 @@ from twistcap.search.evidence import (
     sampled_evidence,
     sampled_evidence_reference,
 )
-from twistcap.search.placing import moved_evidence, moved_evidence_reference, points_evidence
+from twistcap.search.placing import moved_evidence, points_evidence
 
 
 def _scene(rng: np.random.Generator) -> tuple[Float32, Background, Float, Int]:
@@ -53,12 +53,10 @@ def test_kernels_are_their_readable_twins() -> None:
         np.testing.assert_allclose(a, b, atol=1e-4)
     P = np.concatenate([np.diag([4.0, 4.0, 1.0]), np.array([[5.0], [3.0], [2.0]])], axis=1)
     points, of, offsets = rng.normal(size=(30, 3)), rng.integers(0, 4, 30).astype(np.int32), rng.normal(size=(6, 3))
-    np.testing.assert_allclose(
-        moved_evidence(maps, P, points, of, offsets), moved_evidence_reference(maps, P, points, of, offsets), atol=1e-5
-    )
+    check_twin(moved_evidence, maps, P, points, of, offsets, 0.5, rtol=1e-5)
     beside = points * [1e-3, 1e-3, 0.0] + [0.0, 0.0, 1e-3 - P[2, 3]]  # a thousandth of a metre from the camera
     at_most = 4.0 * np.abs(maps).max() * len(points)
-    assert np.abs(moved_evidence(maps, P, beside, of, np.zeros((1, 3)))).max() <= at_most
+    assert np.abs(moved_evidence(maps, P, beside, of, np.zeros((1, 3)), 0.5)).max() <= at_most
     check_twin(points_evidence, maps, P, points.reshape(3, 10, 3), of[:10], rtol=1e-5)
     labels = np.ascontiguousarray(part[::2, ::2])
     for a, b in zip(covered_evidence(maps, labels), covered_evidence_reference(maps, labels), strict=True):

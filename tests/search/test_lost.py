@@ -18,18 +18,19 @@ from twistcap.body.humanoid import humanoid
 from twistcap.body.limbs import limbs
 from twistcap.build import build
 from twistcap.camera.bump import turned_back
-from twistcap.cues.view import steadied
+from twistcap.cues.view import despeckled, steadied
 from twistcap.estimate import Frame, Keypoints
 from twistcap.hindsight import tracked
 from twistcap.predict import Moment, Prediction
+from twistcap.search.contradiction import Judged
 from twistcap.search.evidence import Evidence, EvidenceView
-from twistcap.search.limb import LimbRule, placed
+from twistcap.search.limb import LimbRule, placed, regained
 from twistcap.search.lost import LostBody
 from twistcap.search.placing import Placing, PlacingRule, Stance
 from twistcap.search.recollection import Recollection
 from twistcap.search.stances import bundled
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Model, Settings, Tracker
+from twistcap.track import Model, Tracker
 from twistcap.track.step import posed_problem
 
 FAULT = range(16, 34)
@@ -196,6 +197,72 @@ def test_places_count_by_the_pixels_that_a_body_covers_there() -> None:
     np.testing.assert_allclose([near / far, drawn[0] / drawn[1]], 4.0, rtol=0.15)
 
 
+def test_a_body_near_a_camera_counts_no_more_than_from_where_it_was() -> None:
+    """It fills the picture, and in noise it would outweigh all other cameras."""
+    scene, _ = _scene()
+    camera, pose = scene.rig[0], scene.first_pose
+    maps = np.ones((len(scene.body.segment_names), *camera.size[::-1]), np.float32)
+    towards = -camera.T_cam_world[2, :3] * 0.5 * (camera.T_cam_world[2] @ pose.root[:, 3])
+    near = Pose(se3.transform(pose.root[:3, :3], pose.root[:3, 3] + towards), pose.q)
+    far = Pose(se3.transform(pose.root[:3, :3], pose.root[:3, 3] - towards), pose.q)
+    plain = Evidence(scene.body, [EvidenceView(0, camera, maps)])
+    level = plain.no_nearer(pose)
+    assert plain.of(near) > 2.0 * plain.of(pose)
+    assert level.of(near) == pytest.approx(plain.of(near) / 4.0)
+    assert [level.of(p) for p in (pose, far)] == pytest.approx([plain.of(p) for p in (pose, far)])
+    pixels = [evidence.by_part(near)[1].sum() for evidence in (level, plain)]
+    assert pixels[0] == pytest.approx(pixels[1] / 4.0)
+    offsets, points = np.array([towards, np.zeros(3)]), Placing(plain, PlacingRule()).points(pose)
+    rough = Placing(level, PlacingRule()).rough(points, offsets, any_part=True)
+    assert rough[0] < 1.2 * rough[1] < 0.5 * Placing(plain, PlacingRule()).rough(points, offsets, any_part=True)[0]
+
+
+def test_pictures_of_another_background_say_nothing_and_noisy_ones_do() -> None:
+    scene, frames = _scene()
+    *_, (_, tracker) = islice(_tracked(lambda frame: frame), 12)
+    known, none = tracker.state.searches["lost body"].known, np.zeros((scene.body.dof,) * 2)
+    first, second, third = frames[12].images
+    assert first is not None
+    rng = np.random.default_rng(0)
+    noisy = np.where(rng.random(first.shape[:2])[..., None] < 0.6, rng.integers(0, 256, first.shape), first)
+    for images, telling in (((second, first, third), [2]), ((noisy.astype(np.uint8), second, third), [0, 1, 2])):
+        frame = despeckled(replace(frames[12], images=images))
+        prediction = Prediction(scene.true_poses[12], "hold", none, none)
+        problem = posed_problem(tracker.state, frame, tracker.model, prediction)
+        assert [view.index for view in known.evidence(problem).views] == telling
+
+
+def test_a_fit_that_hardly_covers_the_pictures_is_no_sign_of_another_light() -> None:
+    """All that was learnt would be forgotten for a few points that agree."""
+    scene, frames = _scene()
+    *_, (_, tracker) = islice(_tracked(lambda frame: frame), 12)
+    known, none = tracker.state.searches["lost body"].known, np.zeros((scene.body.dof,) * 2)
+    prediction = Prediction(scene.true_poses[12], "hold", none, none)
+    problem = posed_problem(tracker.state, frames[12], tracker.model, prediction)
+    fit = problem.align(problem.start)
+    check = replace(known.check(fit.posed, fit.sights, problem), fitting=0.2 * known.fitting)
+    for share, relit in ((1.0, True), (0.2, False)):
+        now = Judged(problem, fit, replace(check, pixels=share * check.pixels))
+        assert (LostBody()._fitted_without_look(known, now) is not None) == relit
+
+
+def test_a_limb_whose_look_is_not_known_is_not_looked_for_unless_the_other_one_s_is() -> None:
+    scene, frames = _scene()
+    *_, (_, tracker) = islice(_tracked(lambda frame: frame), 12)
+    memory, none = tracker.state.searches["lost body"], np.zeros((scene.body.dof,) * 2)
+    limb = next(k for k, own in enumerate(memory.groups) if own[scene.body.segment_names.index("humerus_r")])
+    left = next(k for k, own in enumerate(memory.groups) if own[scene.body.segment_names.index("humerus_l")])
+    mask = limbs(scene.body)[limb]
+    bent = scene.true_poses[12].retract(np.where(mask, 0.9, 0.0)).within(scene.body.limits)
+    problem = posed_problem(tracker.state, frames[12], tracker.model, Prediction(bent, "hold", none, none))
+    fit = problem.measured(bent)
+    for unknown, sought in (((limb,), True), ((limb, left), False)):
+        pixels = np.where(memory.groups[list(unknown)].any(axis=0), 0.0, memory.known.pixels)
+        known = replace(memory.known, pixels=pixels, nats=np.where(pixels > 0.0, memory.known.nats, 0.0))
+        now = Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
+        assert (regained(LimbRule(), known, now, memory.groups, [limb], 0, sure=True) is not None) == sought
+
+
 def test_an_arm_thrown_faster_than_a_contour_reaches_is_kept() -> None:
     """A body at rest whose right arm is thrown forward, 35° from frame to frame, elbow bent on the way."""
     still, poses = capture(StudioConfig(seed=0, views=3, frames=1)), list[Pose]()
@@ -250,7 +317,7 @@ def test_a_body_that_shows_little_of_itself_is_not_surely_there(monkeypatch: pyt
 def test_clutter_that_changes_at_once_does_not_make_a_body_lost() -> None:
     """What is usual is not known after three frames."""
     scene = capture(StudioConfig(seed=64, views=2, frames=6, rectangles=50, uniform_noise=0.25))
-    tracker = Tracker(build(scene.body, scene.rig, Settings(despeckle=3)))
+    tracker = Tracker(build(scene.body, scene.rig))
     tracker.start(scene.first_pose)
     assert "not_found" not in [tracker.step(frame).status for frame in scene.frames()]
 

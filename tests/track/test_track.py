@@ -150,7 +150,7 @@ def test_the_spread_of_the_surface_reaches_both_methods() -> None:
 @pytest.mark.parametrize(
     ("name", "value"),
     [("surface_sigma", -0.1), ("surface_sigma", np.nan), ("first_sigma_m", 0.0), ("keypoint_sigma", np.inf),
-     ("prior_strength", np.nan), ("first_sigma_deg", -1.0), ("despeckle", 2)],
+     ("prior_strength", np.nan), ("first_sigma_deg", -1.0)],
 )  # fmt: skip
 def test_a_setting_that_cannot_be_meant_is_refused(name: str, value: float) -> None:
     with pytest.raises(InputError, match=f"tracker: {name} is"):

@@ -23,6 +23,9 @@ from twistcap.stages import stage
 _FINEST, _BETWEEN = 0.7, 0.8  # px, Gaussians under which a level of the pyramid is seen, and made smaller
 
 _SAMPLED = 5  # every fifth pixel each way tells a picture from another
+_SPECKLED, _MANY_SPECKLES = 0.05, 0.25  # of the values of pixels: in a good picture 0.005 at most
+_UNLIKE = 0.16  # by which a value is off the median about it
+_BANDS, _ROWS = 4, 8  # of an image, by which that is judged
 _BLANK = 0.02  # standard deviation below which a picture shows nothing
 
 
@@ -186,10 +189,22 @@ def steadied(frame: Frame, bumps: Float, rig: Rig) -> Frame:
     return replace(frame, images=images, keypoints=points)
 
 
-def despeckled(frame: Frame, size: int) -> Frame:
-    """The frame, its images under a median filter of so many pixels."""
-    if size == 1:
-        return frame
+def despeckled(frame: Frame) -> Frame:
+    """The frame, each image with single wrong pixels under a median filter, a wide one where they are many."""
     with stage("despeckle"):
-        images = tuple(None if image is None else cv2.medianBlur(image, size) for image in frame.images)
-    return replace(frame, images=images)
+        images = list(frame.images)
+        for i, image in enumerate(images):
+            wrong = 0.0 if image is None else speckles(image)
+            if image is not None and wrong > _SPECKLED:
+                images[i] = cv2.medianBlur(image, 3 if wrong < _MANY_SPECKLES else 5)
+    return replace(frame, images=tuple(images))
+
+
+def speckles(image: AnyArray) -> float:
+    """Fraction of the values of an image that are unlike those about them, by a few of its rows."""
+    most, wrong, count = _UNLIKE * (255.0 if image.dtype == np.uint8 else 1.0), 0, 0
+    for row in np.linspace(0, max(len(image) - _ROWS, 0), _BANDS).astype(int):
+        band = image[row : row + _ROWS]
+        apart = cv2.absdiff(band, cv2.medianBlur(band, 3))
+        wrong, count = wrong + np.count_nonzero(apart > most), count + apart.size
+    return wrong / max(count, 1)

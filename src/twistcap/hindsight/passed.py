@@ -67,7 +67,7 @@ def evidence_in(model: Model, state: State, one: Passed) -> Evidence:
     """What the pictures of a passed frame say of poses, by what is known now."""
     none = np.zeros_like(state.covariance)
     out = frozenset(state.left_out)
-    frame = despeckled(steadied(one.seen, bumps_in(model, one), model.rig), model.despeckle)
+    frame = despeckled(steadied(one.seen, bumps_in(model, one), model.rig))
     problem = FrameProblem(model, state, frame, one.estimate.pose, none, none, {}, left_out=out)
     return lost_memory(state).known.evidence(problem)
 

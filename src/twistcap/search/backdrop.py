@@ -25,6 +25,7 @@ PX_PER_M = 45.0
 _MOST = 400  # px across, of a small image
 _MEMORY = 30.0  # lessons that are remembered
 _BERTH = 0.08  # m about the body within which nothing is learned
+_SHOWN = 0.25  # of its pixels that fit, below which a picture shows another background
 _PALETTE = 8  # colours by which pixels are described that were never seen without the body
 
 
@@ -93,6 +94,12 @@ class Backdrop:
     def background(self) -> Background:
         """What is known of each pixel."""
         return background_of(*self.moments, self.known)
+
+    def is_in(self, features: Float32) -> bool:
+        """Whether a small picture (h, w, C) shows it, be it noisy; that of another camera has hardly a pixel of it."""
+        mean, inverse, _, known = self.background
+        fitting = np.sum((features - mean) ** 2 * inverse, axis=2) < 4.0 * features.shape[2]
+        return bool(np.count_nonzero(fitting & known) >= _SHOWN * np.count_nonzero(known))
 
     def _palette(self) -> Palette:
         step = max(1, np.count_nonzero(self.known) // 2000)

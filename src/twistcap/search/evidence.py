@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -29,16 +29,29 @@ class EvidenceView:
         index: of the camera in the rig.
         camera: of the small image.
         maps: (S, h, w) nats by which each pixel speaks for each part and against the background.
+        nearest: m; a body that is nearer to the camera counts as from there. It covers more pixels, of which none knows
+            more than those of a small picture, and in noise it would outweigh all other cameras.
     """
 
     index: int
     camera: Camera
     maps: Float32
+    nearest: float = 0.0
 
     @cached_property
     def any_part(self) -> Float32:
         """(1, h, w) how each pixel and those about it speak for any part at all."""
         return np.asarray(cv2.blur(self.maps.max(axis=0), (5, 5)), np.float32)[None]
+
+    def by_part(self, posed: Posed) -> Float:
+        """(2, S) nats for each part of a body, and the number of its pixels."""
+        share = min(1.0, (depth_of(self.camera, posed.pose) / self.nearest) ** 2) if self.nearest > 0.0 else 1.0
+        return share * np.array(covered_evidence(self.maps, render(posed, self.camera).part))
+
+
+def depth_of(camera: Camera, pose: Pose) -> float:
+    """How far a body's root is before a camera, m; 0 behind it."""
+    return max(float(camera.T_cam_world[2] @ pose.root[:, 3]), 0.0)
 
 
 @dataclass(frozen=True)
@@ -51,14 +64,17 @@ class Evidence:
     def by_part(self, pose: Pose | Posed) -> tuple[Float, Float]:
         """(cameras, S) nats for each part in each camera, and the number of its pixels."""
         posed = pose if isinstance(pose, Posed) else Posed(self.body, pose)
-        found = [covered_evidence(view.maps, render(posed, view.camera).part) for view in self.views]
-        return np.array([f[0] for f in found]), np.array([f[1] for f in found])
+        found = np.array([view.by_part(posed) for view in self.views])
+        return found[:, 0], found[:, 1]
 
     def of(self, pose: Pose) -> float:
         """Nats for a body at a pose; none at all has 0. A camera that contradicts has no less."""
         posed = Posed(self.body, pose)
-        each = (float(covered_evidence(view.maps, render(posed, view.camera).part)[0].sum()) for view in self.views)
-        return sum(max(nats, 0.0) for nats in each)
+        return sum(max(float(view.by_part(posed)[0].sum()), 0.0) for view in self.views)
+
+    def no_nearer(self, pose: Pose) -> Evidence:
+        """The same where a body counts no more than from where it is at a pose."""
+        return replace(self, views=[replace(v, nearest=depth_of(v.camera, pose)) for v in self.views])
 
 
 @njit(cache=True, nogil=True)

@@ -126,8 +126,8 @@ def regained(
         seed: of the draws.
         sure: whether they are surely lost; else they are looked for only where a look is worth it.
     """
-    evidence = known.evidence(now.problem)
-    if not evidence.views:
+    evidence, asked = known.evidence(now.problem), [i for i in asked if _taught(known, now.problem.body, groups)[i]]
+    if not evidence.views or not asked:
         return None
     rng, masks = np.random.default_rng(seed), limbs(now.problem.body)
     pose, found, usual = now.fit.pose, list[int](), known.nats.sum(axis=0) @ groups.T
@@ -148,6 +148,12 @@ def regained(
     gained = gain / max(float(usual[found].sum()), _LITTLE)
     clear = gained + less > rule.clear and (less > rule.less or gained > rule.plenty)
     return (other, found) if clear else None
+
+
+def _taught(known: Recollection, body: Body, groups: Bool) -> Bool:
+    """(G,) groups of segments (G, S) of which, or of the other side's, it is known how they usually look."""
+    pixels = known.pixels.sum(axis=0)
+    return groups @ (pixels + pixels[partners(body.segment_names)]) > 0.0
 
 
 def _wrong(known: Recollection, now: Judged, groups: Bool) -> Float:

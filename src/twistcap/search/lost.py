@@ -187,8 +187,8 @@ class LostBody(Checked):
         was, and the contour agrees all the same. The colours of the old light would mislead the fit.
         """
         fitting = now.check.fitting / known.fitting
-        seen = ~np.isnan(fitting)
-        if not seen.any() or np.any(fitting[seen] >= self.relit):
+        seen, ample = ~np.isnan(fitting), now.check.pixels.sum() >= self.seen * known.pixels.sum()
+        if not ample or not seen.any() or np.any(fitting[seen] >= self.relit):
             return None
         problem = now.problem.without_look()
         fit = problem.align(problem.start)
@@ -309,6 +309,7 @@ class LostBody(Checked):
             evidence = memory.known.evidence(problem)
             if not evidence.views:
                 return None
+            evidence = evidence.no_nearer((memory.surely or _last_seen(problem.past)).pose)
             more = self.better * float(memory.known.nats.sum())
             least = -np.inf if here is None else evidence.of(here) + more
             return self.found(memory.known, problem, evidence, least, memory.surely)
@@ -318,7 +319,7 @@ class LostBody(Checked):
     ) -> Pose | None:
         """The pose that the images show; None where they show no body clearly enough, or with less evidence."""
         placing = Placing(evidence, self.placing)
-        last = replace((problem.past.seen or problem.past.moments)[-1], time=problem.past.seen_time)
+        last = _last_seen(problem.past)
         usually, usual = float(evidence.by_part(last.pose)[1].sum()), float(known.nats.sum())
 
         def standing(h: Hypothesis) -> float:
@@ -375,3 +376,8 @@ class LostBody(Checked):
         pose = problem.afresh(h.pose, self.margin).pose
         value = evidence.of(pose)
         return Hypothesis(pose, value) if value > h.nats else h
+
+
+def _last_seen(past: Past) -> Moment:
+    """When and where images showed the body last."""
+    return replace((past.seen or past.moments)[-1], time=past.seen_time)

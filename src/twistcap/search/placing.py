@@ -108,7 +108,8 @@ class Placing:
         out = np.zeros(len(offsets))
         for view in self.evidence.views:
             maps, area = view.any_part if any_part else view.maps, view.camera.K[0, 0] * view.camera.K[1, 1]
-            out += area * moved_evidence(maps, view.camera.P, points, part, offsets)
+            nearest = max(view.nearest, _NEAREST)
+            out += area * moved_evidence(maps, view.camera.P, points, part, offsets, nearest)
         return out
 
     def points(self, pose: Pose) -> Float:
@@ -197,9 +198,9 @@ def _grid(steps: Float) -> Float:
 
 
 @njit(cache=True, nogil=True)
-def moved_evidence(maps: Float32, P: Float, points: Float, part: Int, offsets: Float) -> Float:
+def moved_evidence(maps: Float32, P: Float, points: Float, part: Int, offsets: Float, nearest: float) -> Float:
     """(N,) sum of the evidence (S, h, w) at the projections of points (M, 3) of parts (M,), moved by offsets (N, 3),
-    each divided by the square of its depth, which counts as `_NEAREST` at least.
+    each divided by the square of its depth, which counts as `nearest` (m) at least.
     """
     height, width = maps.shape[1:]
     out = np.zeros(len(offsets))
@@ -216,7 +217,7 @@ def moved_evidence(maps: Float32, P: Float, points: Float, part: Int, offsets: F
             c = int((base[m, 0] + a) / w + 0.5)
             r = int((base[m, 1] + b) / w + 0.5)
             if 0 <= c < width and 0 <= r < height:
-                out[n] += maps[part[m], r, c] / max(w, _NEAREST) ** 2
+                out[n] += maps[part[m], r, c] / max(w, nearest) ** 2
     return out
 
 
@@ -243,10 +244,12 @@ def points_evidence_reference(maps: Float32, P: Float, points: Float, part: Int)
     return np.array([_at_pixels(maps, P, each, part)[0].sum() for each in points])
 
 
-def moved_evidence_reference(maps: Float32, P: Float, points: Float, part: Int, offsets: Float) -> Float:
+def moved_evidence_reference(
+    maps: Float32, P: Float, points: Float, part: Int, offsets: Float, nearest: float
+) -> Float:
     """Readable twin of `moved_evidence`."""
     nats, depth = _at_pixels(maps, P, points + offsets[:, None], part)
-    return (nats / np.maximum(depth, _NEAREST) ** 2).sum(axis=1)
+    return (nats / np.maximum(depth, nearest) ** 2).sum(axis=1)
 
 
 def _at_pixels(maps: Float32, P: Float, points: Float, part: Int) -> tuple[Float, Float]:

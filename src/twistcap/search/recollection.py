@@ -176,13 +176,15 @@ class Recollection:
         )  # fmt: skip
 
     def evidence(self, problem: Problem) -> Evidence:
-        """The evidence of a frame's whole pictures, in cameras whose background is known."""
+        """The evidence of a frame's whole pictures, in cameras that show a background that is known."""
         views = list[EvidenceView]()
         for i, (image, backdrop) in enumerate(zip(problem.frame.images, self.backdrops, strict=True)):
             if image is None or backdrop.size == (0, 0) or i in problem.left_out:
                 continue
             camera = small_camera(problem.rig[i], backdrop, problem.start.root[:3, 3])
             features = small_features(image, camera.size, problem.channels)
+            if not backdrop.is_in(features):
+                continue
             colours = problem.colours(i, features.shape[2])
             views.append(
                 EvidenceView(i, camera, evidence_maps(features, backdrop.background, backdrop.palette, colours, CLIP))

@@ -45,7 +45,6 @@ class Model:
         flag: how probable it is that a part is lost.
         noise: how far bodies are from where they are predicted.
         channels: what region statistics look at.
-        despeckle: px across of a median filter of all images.
         learn_every: frames from one lesson of the cues to the next.
     """
 
@@ -61,7 +60,6 @@ class Model:
     flag: FlagRule = field(default_factory=FlagRule)
     noise: MotionNoise = field(default_factory=MotionNoise)
     channels: Channels = "lab"
-    despeckle: int = 1
     learn_every: int = 3
 
     def __post_init__(self) -> None:

@@ -59,7 +59,7 @@ def _stepped(state: Any, frame: Frame, model: Model | DifferentialModel) -> tupl
         return by_brightness(state, frame, model)
     frame, prints = with_news(frame, state.prints, state.past.in_motion)
     frame = steadied(frame, state.bumps, model.rig)
-    frame, state = despeckled(frame, model.despeckle), replace(state, prints=prints)
+    frame, state = despeckled(frame), replace(state, prints=prints)
     prediction, state = predicted(state, frame, model)
     problem, nowhere = begun(posed_problem(state, frame, model, prediction), prediction)
     if nowhere or (not problem.views and frame.keypoints is None):

@@ -69,7 +69,7 @@ class SequenceImages:
                 raise InputError("refine: the frames are not those of the estimates; give those that were tracked.")
             posed, margin = Posed(self.body, estimate.pose), MARGIN + _ROOM
             still = frame if estimate.bumps is None else steadied(frame, estimate.bumps, self.rig)
-            for i, image in enumerate(despeckled(still, self.tracker.despeckle).images):
+            for i, image in enumerate(despeckled(still).images):
                 if image is None or i in estimate.left_out:
                     self.views[i].append(None)
                     continue
