@@ -225,11 +225,17 @@ def test_pictures_of_another_background_say_nothing_and_noisy_ones_do() -> None:
     assert first is not None
     rng = np.random.default_rng(0)
     noisy = np.where(rng.random(first.shape[:2])[..., None] < 0.6, rng.integers(0, 256, first.shape), first)
-    for images, telling in (((second, first, third), [2]), ((noisy.astype(np.uint8), second, third), [0, 1, 2])):
+    for images, telling in (
+        ((second, first, second), []),
+        ((second, first, third), [2]),
+        ((noisy.astype(np.uint8), second, third), [0, 1, 2]),
+    ):
         frame = despeckled(replace(frames[12], images=images))
         prediction = Prediction(scene.true_poses[12], "hold", none, none)
         problem = posed_problem(tracker.state, frame, tracker.model, prediction)
-        assert [view.index for view in known.evidence(problem).views] == telling
+        evidence = known.evidence(problem)
+        assert [view.index for view in evidence.views] == telling
+        assert evidence.by_part(problem.start)[0].shape == (len(telling), len(scene.body.segment_names))
 
 
 def test_a_fit_that_hardly_covers_the_pictures_is_no_sign_of_another_light() -> None:

@@ -64,7 +64,7 @@ class Evidence:
     def by_part(self, pose: Pose | Posed) -> tuple[Float, Float]:
         """(cameras, S) nats for each part in each camera, and the number of its pixels."""
         posed = pose if isinstance(pose, Posed) else Posed(self.body, pose)
-        found = np.array([view.by_part(posed) for view in self.views])
+        found = np.array([view.by_part(posed) for view in self.views]).reshape(-1, 2, len(self.body.segment_names))
         return found[:, 0], found[:, 1]
 
     def of(self, pose: Pose) -> float:
