@@ -16,8 +16,8 @@ from twistcap.studio import StudioConfig, capture
 SMALL = StudioConfig(seed=3, views=2, size=(192, 140), frames=4)
 
 
-@pytest.mark.parametrize(("noise", "size"), [(0.0, 1), (0.2, 3), (0.6, 5)])
-def test_images_with_single_wrong_pixels_are_filtered(noise: float, size: int) -> None:
+@pytest.mark.parametrize(("noise", "size"), [(0.0, 1), (0.2, 3), (0.6, 5), (1.0, 1)])
+def test_images_with_single_wrong_pixels_are_filtered_and_mere_noise_is_not(noise: float, size: int) -> None:
     frame = next(iter(capture(replace(SMALL, uniform_noise=noise)).frames()))
     for image, found in zip(frame.images, despeckled(frame).images, strict=True):
         assert image is not None

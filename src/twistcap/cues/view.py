@@ -23,7 +23,7 @@ from twistcap.stages import stage
 _FINEST, _BETWEEN = 0.7, 0.8  # px, Gaussians under which a level of the pyramid is seen, and made smaller
 
 _SAMPLED = 5  # every fifth pixel each way tells a picture from another
-_SPECKLED, _MANY_SPECKLES = 0.05, 0.25  # of the values of pixels: in a good picture 0.005 at most
+_SPECKLED, _MANY_SPECKLES, _NOTHING_ELSE = 0.05, 0.25, 0.42  # of pixels' values: in a good picture 0.005 at most
 _UNLIKE = 0.16  # by which a value is off the median about it
 _BANDS, _ROWS = 4, 8  # of an image, by which that is judged
 _BLANK = 0.02  # standard deviation below which a picture shows nothing
@@ -190,12 +190,15 @@ def steadied(frame: Frame, bumps: Float, rig: Rig) -> Frame:
 
 
 def despeckled(frame: Frame) -> Frame:
-    """The frame, each image with single wrong pixels under a median filter, a wide one where they are many."""
+    """The frame, each image with single wrong pixels under a median filter, a wide one where they are many.
+
+    Where nearly all are wrong a filter would make blots of them, which look like bodies more than noise does.
+    """
     with stage("despeckle"):
         images = list(frame.images)
         for i, image in enumerate(images):
             wrong = 0.0 if image is None else speckles(image)
-            if image is not None and wrong > _SPECKLED:
+            if image is not None and _SPECKLED < wrong < _NOTHING_ELSE:
                 images[i] = cv2.medianBlur(image, 3 if wrong < _MANY_SPECKLES else 5)
     return replace(frame, images=tuple(images))
 
