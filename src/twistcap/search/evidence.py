@@ -73,8 +73,8 @@ class Evidence:
         return sum(max(float(view.by_part(posed)[0].sum()), 0.0) for view in self.views)
 
     def no_nearer(self, pose: Pose) -> Evidence:
-        """The same where a body counts no more than from where it is at a pose."""
-        return replace(self, views=[replace(v, nearest=depth_of(v.camera, pose)) for v in self.views])
+        """The same where a body counts no more than from half as far away as it is at a pose."""
+        return replace(self, views=[replace(v, nearest=0.5 * depth_of(v.camera, pose)) for v in self.views])
 
 
 @njit(cache=True, nogil=True)

@@ -115,6 +115,12 @@ class LimbRule(Checked):
         return np.flatnonzero(lately[:-1, _UNSEEN] > self.unseen).tolist()
 
 
+def taught(known: Recollection, body: Body, groups: Bool) -> Bool:
+    """(G,) groups of segments (G, S) of which, or of the other side's, it is known how they usually look."""
+    pixels = known.pixels.sum(axis=0)
+    return groups @ (pixels + pixels[partners(body.segment_names)]) > 0.0
+
+
 def regained(
     rule: LimbRule, known: Recollection, now: Judged, groups: Bool, asked: list[int], seed: int, sure: bool
 ) -> tuple[Judged, list[int]] | None:
@@ -126,8 +132,8 @@ def regained(
         seed: of the draws.
         sure: whether they are surely lost; else they are looked for only where a look is worth it.
     """
-    evidence, asked = known.evidence(now.problem), [i for i in asked if _taught(known, now.problem.body, groups)[i]]
-    if not evidence.views or not asked:
+    evidence = known.evidence(now.problem)
+    if not evidence.views:
         return None
     rng, masks = np.random.default_rng(seed), limbs(now.problem.body)
     pose, found, usual = now.fit.pose, list[int](), known.nats.sum(axis=0) @ groups.T
@@ -148,12 +154,6 @@ def regained(
     gained = gain / max(float(usual[found].sum()), _LITTLE)
     clear = gained + less > rule.clear and (less > rule.less or gained > rule.plenty)
     return (other, found) if clear else None
-
-
-def _taught(known: Recollection, body: Body, groups: Bool) -> Bool:
-    """(G,) groups of segments (G, S) of which, or of the other side's, it is known how they usually look."""
-    pixels = known.pixels.sum(axis=0)
-    return groups @ (pixels + pixels[partners(body.segment_names)]) > 0.0
 
 
 def _wrong(known: Recollection, now: Judged, groups: Bool) -> Float:

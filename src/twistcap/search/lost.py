@@ -26,7 +26,7 @@ from twistcap.search.bump import BumpRule, Unrest
 from twistcap.search.contradiction import ContradictionRule, Judged, judged
 from twistcap.search.evidence import Evidence
 from twistcap.search.flag import MOST_USUAL, USUAL, at_limits, contour_signs, displaced, flag_groups, image_signs
-from twistcap.search.limb import LimbRule, placed, regained
+from twistcap.search.limb import LimbRule, placed, regained, taught
 from twistcap.search.memory import LostMemory
 from twistcap.search.placing import Hypothesis, Placing, PlacingRule
 from twistcap.search.recollection import Covered, Recollection
@@ -223,6 +223,9 @@ class LostBody(Checked):
         elif not lost:
             memory = replace(memory, limb_pause=0)
         asked = lost or [limb for limb in self._due_limbs(memory, now) if not out_of_sight[memory.groups[limb]].any()]
+        if memory.frames <= self.lessons:  # what is not known yet may be mended by the next fit
+            known = taught(memory.known, now.problem.body, memory.groups)
+            asked = [limb for limb in asked if known[limb]]
         if not asked:
             return now, last, memory
         with stage("search"):
