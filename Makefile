@@ -12,6 +12,8 @@
 VENV := .venv
 PY := $(VENV)/bin/python
 JOBS ?= 2
+# Commands that tests start would else compile each module again.
+unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := help
 .PHONY: help demo test lint blender bench docs notebooks release-check reproduce clean
 

@@ -9,6 +9,9 @@ from pathlib import Path
 import pytest
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy, as the command line does
+if "PYTEST_XDIST_WORKER" in os.environ:  # each core has its worker: more threads would only wait for each other
+    os.environ.setdefault("TWISTCAP_THREADS", "1")
+    os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
 
 from twistcap.body import Body
 from twistcap.body.obj_rig import load_makehuman

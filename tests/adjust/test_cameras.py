@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from support.blocks import FixedShape, step_between
-from support.walks import in_a_circle
+from support.walks import every_other_frame, in_a_circle
 from twistcap import se3
 from twistcap.adjust.cameras import agreement_at, holds_from, mended_cameras, turned_towards
 from twistcap.adjust.cameras.fine import CameraProblem, Standpoints, turned_by_background
@@ -108,7 +108,7 @@ def test_the_problem_of_cameras_has_right_derivatives() -> None:
 def test_cameras_that_were_not_bumped_may_be_turned_a_little() -> None:
     """As calibrations are: what they err by does not go into the place of the one that is looked for."""
     scene = in_a_circle()
-    frames = list(scene.frames())[::2]
+    frames = every_other_frame()
     given = [Estimate(f.index, f.time, scene.true_poses[f.index], np.eye(scene.body.dof)) for f in frames]
     off, bumped = (
         CameraBlock(scene.rig[c]).retract(np.r_[0.0, np.deg2rad(by), np.zeros(4)]).camera
@@ -123,7 +123,7 @@ def test_cameras_that_were_not_bumped_may_be_turned_a_little() -> None:
 def test_a_body_that_is_too_thick_and_lenses_that_are_wrong_do_not_shift_a_camera() -> None:
     """Both look as if the camera stood nearer: 21 mm, where only places are free; 7 mm now."""
     scene = in_a_circle()
-    frames = list(scene.frames())[::2]
+    frames = every_other_frame()
     given = [Estimate(f.index, f.time, scene.true_poses[f.index], np.eye(scene.body.dof)) for f in frames]
     off = CameraBlock(scene.rig[1]).retract(np.r_[0.0, np.deg2rad(1.0), np.zeros(4)]).camera
     longer = np.diag([1.002, 1.002, 1.0])
@@ -156,7 +156,7 @@ def test_contours_that_err_in_all_frames_alike_count_as_fewer() -> None:
 
 def test_a_camera_that_was_bumped_tells_though_another_is_looked_for() -> None:
     scene = in_a_circle()
-    frames = list(scene.frames())[::2]
+    frames = every_other_frame()
     given = [Estimate(f.index, f.time, scene.true_poses[f.index], np.eye(scene.body.dof)) for f in frames]
     off = CameraBlock(scene.rig[1]).retract(np.r_[0.0, np.deg2rad(2.0), np.zeros(4)]).camera
     rig = replace(scene.rig, cameras=(scene.rig[0], off, *scene.rig.cameras[2:]))
@@ -167,7 +167,7 @@ def test_a_camera_that_was_bumped_tells_though_another_is_looked_for() -> None:
 
 def test_a_turn_that_the_background_has_told_is_taken_over() -> None:
     scene, turn = in_a_circle(), np.deg2rad([0.9, -1.5, 0.6])
-    frames = list(scene.frames())[::2]
+    frames = every_other_frame()
     given = [Estimate(f.index, f.time, scene.true_poses[f.index], np.eye(scene.body.dof)) for f in frames]
     seen = [replace(e, bumps=np.outer(np.eye(len(scene.rig))[1], turn)) for e in given]
     was = bumped(scene.rig[1], -turn)  # before it was turned to where it is
@@ -184,7 +184,7 @@ def test_a_turn_that_the_background_has_told_is_taken_over() -> None:
 def test_another_camera_that_stands_turned_is_believed_as_it_stands() -> None:
     """Its calibration is not where it was filmed from, and its turn is known."""
     scene, turn = in_a_circle(), np.deg2rad([0.9, -1.5, 0.6])
-    frames = list(scene.frames())[::2]
+    frames = every_other_frame()
     seen = [
         Estimate(f.index, f.time, scene.true_poses[f.index], np.eye(scene.body.dof),
                  bumps=np.outer(np.eye(len(scene.rig))[2], turn))

@@ -190,8 +190,8 @@ def test_a_small_person_is_blamed_on_the_scale_only_if_seen_whole() -> None:
     scene, frames = _scene()
     search = _unaided(frames, scaled(scene.rig, 0.7))
     instants = [Instant(QUICK, search.model, f, search.scenery.evidence(f.images, scene.body)) for f in frames[:10:9]]
-    track = Track(search.model, frames[:1], 0, scene.first_pose)
-    proof, probes = Proof(track, 1, 0.9, (0.0,), 0.3), [Probe(0, instant, ()) for instant in instants]
+    proof = Proof(_track_of(0, [scene.first_pose]), 1, 0.9, (0.0,), 0.3)
+    probes = [Probe(0, instant, ()) for instant in instants]
     sentence = search._refusal(proof, probes)  # pyright: ignore[reportPrivateUsage]
     assert re.search(r"are 1\.\d\d times too small if a whole person is seen: check its board", sentence)
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
 from twistcap import se3
 from twistcap.adjust.watch import KNOCK, CameraWatch, Watched
+from twistcap.arrays import UInt8
 from twistcap.build import build
 from twistcap.estimate import Frame
 from twistcap.io.state import from_bytes, to_bytes
@@ -20,9 +22,19 @@ FRAMES, EVERY = 36, 2  # frames that are tracked, of a capture of as many times 
 LATE = 1
 
 
+@cache
+def _walk() -> Capture:
+    return capture(StudioConfig(seed=3, views=4, frames=EVERY * (FRAMES + 2), fps=60.0 * EVERY))
+
+
+@cache
+def _image(moment: int, camera: int) -> UInt8 | None:
+    return _walk().image(moment, camera)
+
+
 @pytest.fixture(scope="module")
 def scene() -> Capture:
-    return capture(StudioConfig(seed=3, views=4, frames=EVERY * (FRAMES + 2), fps=60.0 * EVERY))
+    return _walk()
 
 
 def watched(scene: Capture, moments: int = 0, turned_deg: float = 0.0) -> Watched:
@@ -37,7 +49,7 @@ def watched(scene: Capture, moments: int = 0, turned_deg: float = 0.0) -> Watche
     for k in range(FRAMES):
         if k == FRAMES // 2:  # what is remembered outlives an interruption
             tracker.state, _ = from_bytes(to_bytes(tracker.state), model)
-        images = [scene.image(EVERY * k + (moments if c == LATE else 0), c) for c in range(4)]
+        images = [_image(EVERY * k + (moments if c == LATE else 0), c) for c in range(4)]
         tracker.step(Frame(k, k / 60.0, tuple(images)))
     memory = tracker.state.cues["camera watch"]
     assert isinstance(memory, Watched)

@@ -113,7 +113,8 @@ def test_other_outputs_are_written_without_tracking_again(data: Path, whole: Pat
 def test_a_trial_that_fails_is_listed_and_mended(
     data: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    mine = Path(shutil.copytree(data, tmp_path / "data"))
+    mine = tmp_path / "data"
+    shutil.copytree(data / "p1", mine / "p1")
     video = mine / "p1" / "slow" / "videos" / "cam01.mp4"
     kept = video.read_bytes()
     video.write_bytes(b"no video")
@@ -122,10 +123,11 @@ def test_a_trial_that_fails_is_listed_and_mended(
     assert "failed: p1/slow: " in capsys.readouterr().err
     listed = {row["trial"]: row for row in rows(out / "trials.csv") if row["subject"] == "p1"}
     assert listed["slow"]["status"] == "failed" and "cam01.mp4" in listed["slow"]["message"]
-    assert len(rows(out / "angles.csv")) * 4 == 3 * len(rows(whole / "angles.csv"))
+    undisturbed = [row for row in rows(whole / "angles.csv") if row["subject"] == "p1"]
+    assert len(rows(out / "angles.csv")) * 2 == len(undisturbed)
     video.write_bytes(kept)
     assert run("study", study, "--out", out, "--workers", 1) == 0
-    assert (out / "angles.csv").read_bytes() == (whole / "angles.csv").read_bytes()
+    assert rows(out / "angles.csv") == undisturbed
 
 
 def test_body_refinement_and_a_table_of_trials(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -176,7 +178,7 @@ def test_a_study_over_cycles(data: Path, tmp_path: Path, monkeypatch: pytest.Mon
     """Rows of each stride, side and angle, whose means are the cycles of `gait`; a trial without a stride fails."""
     study, out = load_study(study_file(tmp_path, data, QUICK + 'over = "cycle"\n')), tmp_path / "out"
     out.mkdir()
-    walks = {"p1/fast": (240, 1.4), "p1/slow": (240, 1.0), "p2/fast": (20, 1.0), "p2/slow": (240, 1.2)}
+    walks = {"p1/fast": (150, 1.4), "p1/slow": (240, 1.0), "p2/fast": (20, 1.0), "p2/slow": (150, 1.2)}
 
     def track(session: Session, folder: Path, _: object) -> None:
         trial = next(trial for trial in study.trials if trial.folder(out) == folder)

@@ -34,7 +34,8 @@ FRAMES, FPS = 36, 60.0
 def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A walk in four cameras that were triggered together."""
     folder = tmp_path_factory.mktemp("walk")
-    write_session(capture(StudioConfig(seed=3, frames=FRAMES, fps=FPS)), folder, "png", masks=False)
+    scene = capture(StudioConfig(seed=3, size=(256, 188), frames=FRAMES, fps=FPS))
+    write_session(scene, folder, "png", masks=False)
     return folder / "session.toml"
 
 

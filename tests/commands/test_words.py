@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+from contextlib import redirect_stderr
+from io import StringIO
 from pathlib import Path
 
 import cv2
@@ -45,13 +47,15 @@ def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def out(faulty: Path) -> Path:
-    assert run("track", faulty, "--out", faulty.parent / "out", "--set", "output.overlay=false") == 0
-    return faulty.parent / "out"
+def told(faulty: Path) -> tuple[Path, str]:
+    """The folder of a whole track, and what was printed."""
+    with redirect_stderr(StringIO()) as printed:
+        assert run("track", faulty, "--out", faulty.parent / "out", "--set", "output.overlay=false") == 0
+    return faulty.parent / "out", printed.getvalue()
 
 
-def test_the_result_holds_limbs_and_cameras(out: Path) -> None:
-    result = read_result(out / "result.h5")
+def test_the_result_holds_limbs_and_cameras(told: tuple[Path, str]) -> None:
+    result = read_result(told[0] / "result.h5")
     first_out = np.flatnonzero(result.left_out[:, 0])
     assert set(range(MOVED[3], MOVED[-1])) <= set(first_out) and not result.left_out[:, 1:].any()
     assert first_out[0] in MOVED and first_out[-1] < MOVED[-1] + 12  # it is taken back
@@ -64,18 +68,15 @@ def test_the_result_holds_limbs_and_cameras(out: Path) -> None:
     assert result.lost[GAP[-1]] and not result.lost[: GAP[0]].any()
 
 
-def test_resumed_frames_hold_the_same(out: Path, faulty: Path, tmp_path: Path) -> None:
-    whole, quiet = read_result(out / "result.h5"), ("--set", "output.overlay=false")
+def test_resumed_frames_hold_the_same_and_the_command_tells_it(
+    told: tuple[Path, str], faulty: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole, quiet = read_result(told[0] / "result.h5"), ("--set", "output.overlay=false", "--set", "output.report=false")
     assert run("track", faulty, "--out", tmp_path, "--frames", "0:25", *quiet) == 0
-    assert run("track", faulty, "--out", tmp_path, "--resume", *quiet) == 0
+    output = document(capsys, "track", faulty, "--out", tmp_path, "--resume", *quiet)
     resumed = read_result(tmp_path / "result.h5")
     for name in ("q", "probability", "part_probability", "left_out", "missing", "bumps", "lost"):
         np.testing.assert_array_equal(getattr(resumed, name), getattr(whole, name))
-
-
-def test_the_command_tells_it(faulty: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    quiet = ("--set", "output.overlay=false", "--set", "output.report=false")
-    output = document(capsys, "track", faulty, "--out", tmp_path, *quiet)
     assert output["left_out"]["cam01"] and output["left_out"]["cam02"] == []
     lost, left_out, bumped, nothing, blank = output["statements"]
     assert lost.startswith(f"{len(output['lost'])} of 42 frames lost: ") and lost.endswith(f"–{GAP[-1]} (no images)")
@@ -86,9 +87,8 @@ def test_the_command_tells_it(faulty: Path, tmp_path: Path, capsys: pytest.Captu
     assert blank.startswith("camera cam03 showed nothing new in 2 frames: 6–7 (")
 
 
-def test_what_is_printed_and_written_tells_it(faulty: Path, out: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("track", faulty, "--out", out, "--overwrite", "--set", "output.overlay=false") == 0
-    printed, page = capsys.readouterr().err, (out / "report.html").read_text()
+def test_what_is_printed_and_written_tells_it(told: tuple[Path, str]) -> None:
+    (out, printed), page = told, (told[0] / "report.html").read_text()
     for text in (printed, page):
         assert "camera cam01 was left out in" in text and "camera cam01 was out of its place in" in text
         assert "(no images)" in text

@@ -230,9 +230,20 @@ def until_killed(frames: list[Frame]) -> Iterator[Frame]:
     raise Killed
 
 
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The result of the whole track."""
+    take, frames = dropping()
+    path, tracker = tmp_path_factory.mktemp("whole") / "whole.h5", Tracker(build(take.scene.body, take.scene.rig))
+    tracker.start(take.first_pose)
+    with ResultWriter(path, take.scene.body, take.scene.rig, {}, room=len(frames)) as writer:
+        follow(frames, len(frames), tracker, writer)
+    return path
+
+
 @pytest.mark.parametrize(("stop", "torn", "begun"), [(22, False, 20), (23, False, 23), (24, True, 23), (34, False, 30)])
 def test_a_track_that_is_resumed_looks_back_alike(
-    tmp_path: Path, stop: int, torn: bool, begun: int, monkeypatch: pytest.MonkeyPatch
+    undisturbed: Path, tmp_path: Path, stop: int, torn: bool, begun: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Frame 22 corrects four frames; what a kill leaves undone, the resumed run does."""
     monkeypatch.setattr("twistcap.commands.follow.STATE_EVERY", 5)
@@ -244,8 +255,6 @@ def test_a_track_that_is_resumed_looks_back_alike(
         tracker.start(take.first_pose)
         return tracker
 
-    with ResultWriter(tmp_path / "whole.h5", body, rig, {}, room=len(frames)) as writer:
-        follow(frames, len(frames), started(), writer)
     with monkeypatch.context() as patch:
         if torn:
             patch.setattr(ResultWriter, "correct", torn_after_two)
@@ -259,7 +268,7 @@ def test_a_track_that_is_resumed_looks_back_alike(
     passed = map(Passed, frames[:count], read_result(tmp_path / "cut.h5").estimates)
     with ResultWriter.resume(tmp_path / "cut.h5", count, len(frames)) as writer:
         follow(frames[count:], len(frames), tracker, writer, passed)
-    whole, cut = (read_result(tmp_path / name) for name in ("whole.h5", "cut.h5"))
+    whole, cut = (read_result(path) for path in (undisturbed, tmp_path / "cut.h5"))
     for name in (column.of_result for column in COLUMNS.values()):
         np.testing.assert_array_equal(getattr(cut, name), getattr(whole, name))
     assert all(a < b for a, b in pairwise(whole.times))

@@ -131,9 +131,9 @@ def filmed(root: Path, camera: Camera, rng: np.random.Generator) -> None:
     to_board[:2, 2] = (0.5 - 40) * BOARD.square / 40
     root.mkdir(parents=True)
     middle = np.array([*BOARD.size, 0.0]) / 2
-    for k in range(14):
+    for k in range(10):
         R = se3.exp_rotation(0.5 * rng.normal(size=3))
-        at = np.array([*rng.uniform(-0.25, 0.25, 2), rng.uniform(0.9, 1.4)]) - R @ middle
+        at = np.array([*rng.uniform(-0.12, 0.12, 2), rng.uniform(0.9, 1.4)]) - R @ middle
         H = camera.K @ np.column_stack([R[:, :2], at]) @ to_board
         cv2.imwrite(str(root / f"{k:02}.png"), cv2.warpPerspective(image, H, camera.size, borderValue=(128,)))
 

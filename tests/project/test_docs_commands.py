@@ -33,6 +33,7 @@ QUICK = {
     "track walk/": "--out out/short",
     "new ": "--force",
     "convert ": "--overwrite",
+    "body fit ": "--fit-frames 1",
     "refine ": "--set rounds=1 --set coarse_rounds=0 --set points=60",
     "view ": "--save page.html",
 }

@@ -32,12 +32,17 @@ def _scene() -> Capture:
 
 
 @cache
+def _frames() -> list[Frame]:
+    return list(_scene().frames())
+
+
+@cache
 def _tracked() -> State:
     """After the first frames, which nothing disturbs."""
     scene = _scene()
     tracker = Tracker(build(scene.body, scene.rig))
     tracker.start(scene.first_pose)
-    for frame in islice(scene.frames(), BEFORE):
+    for frame in _frames()[:BEFORE]:
         tracker.step(frame)
     return tracker.state
 
@@ -65,7 +70,7 @@ def _going_on(state: State) -> Iterator[tuple[float, State]]:
     scene = _scene()
     tracker = Tracker(build(scene.body, scene.rig))
     tracker.state = state
-    for frame in list(scene.frames())[BEFORE:]:
+    for frame in _frames()[BEFORE:]:
         found = Posed(scene.body, tracker.step(frame).pose).landmarks
         yield float(np.linalg.norm(found - scene.landmarks[frame.index], axis=1).max()), tracker.state
 
@@ -87,7 +92,7 @@ def test_all_cameras_are_believed_where_nobody_is() -> None:
     scene = _scene()
     tracker = Tracker(build(scene.body, scene.rig))
     tracker.state = replace(_tracked(), left_out=(1,))
-    told = [tracker.step(_empty(frame)) for frame in list(scene.frames())[BEFORE : BEFORE + 2]]
+    told = [tracker.step(_empty(frame)) for frame in _frames()[BEFORE : BEFORE + 2]]
     assert told[-1].status == "not_found" and tracker.state.left_out == ()
 
 
@@ -96,7 +101,7 @@ def test_all_cameras_are_believed_under_another_light() -> None:
     scene = _scene()
     tracker = Tracker(build(scene.body, scene.rig))
     tracker.state = replace(_tracked(), left_out=(1,))
-    found = tracker.step(_dark(list(scene.frames())[BEFORE]))
+    found = tracker.step(_dark(_frames()[BEFORE]))
     assert found.seen and tracker.state.left_out == ()
 
 
@@ -104,7 +109,7 @@ def test_all_cameras_are_believed_under_another_light() -> None:
 def test_cameras_come_back_where_the_others_say_that_they_have_lost_the_body(evidence: float, left: set[int]) -> None:
     """Not where they hardly see it: they say nothing then."""
     state, scene = replace(_tracked(), left_out=(1,)), _scene()
-    model, frame = build(scene.body, scene.rig), list(scene.frames())[BEFORE]
+    model, frame = build(scene.body, scene.rig), _frames()[BEFORE]
     none = np.zeros((scene.body.dof, scene.body.dof))
     frame = replace(frame, images=(frame.images[0], None, frame.images[2]))
     problem = posed_problem(state, frame, model, Prediction(state.past.last, "hold", none, none))
@@ -119,7 +124,7 @@ def test_cameras_come_back_where_the_others_say_that_they_have_lost_the_body(evi
 def test_a_camera_that_stands_again_comes_back_though_the_body_is_thought_to_be_elsewhere(turned: bool) -> None:
     """It was left out while it was dark, and one camera alone let the body slide away."""
     state, scene = replace(_tracked(), left_out=(1,)), _scene()
-    model, frame = build(scene.body, scene.rig), list(scene.frames())[BEFORE]
+    model, frame = build(scene.body, scene.rig), _frames()[BEFORE]
     images, here = list(frame.images), state.past.last
     images[1] = np.roll(images[1], 40, axis=1) if turned and images[1] is not None else images[1]
     away = Pose(se3.transform(here.root[:3, :3], here.root[:3, 3] + (0.2, -0.2, 0.0)), here.q)
@@ -133,7 +138,7 @@ def test_a_camera_that_stands_again_comes_back_though_the_body_is_thought_to_be_
 
 
 def test_no_camera_is_left_out_before_it_is_known_what_is_usual() -> None:
-    scene, frames = _scene(), list(_scene().frames())
+    scene, frames = _scene(), _frames()
     tracker, out = Tracker(build(scene.body, scene.rig)), list[tuple[int, ...]]()
     tracker.start(scene.first_pose)
     for k, frame in enumerate(frames[:BEFORE]):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -33,6 +34,13 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     lines = [line for line in err.splitlines() if line.startswith("twistcap: ")]
     assert out == "" and len(lines) == 1 and "Traceback" not in err, err
     return lines[0]
+
+
+def replace_text(path: Path, old: str, new: str) -> None:
+    """The first `old` of a file, which it must have, becomes `new`."""
+    text = path.read_text()
+    assert old in text, text
+    path.write_text(text.replace(old, new, 1))
 
 
 def heeds_interrupts() -> None:
