@@ -47,15 +47,15 @@ def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def told(faulty: Path) -> tuple[Path, str]:
+def printed_run(faulty: Path) -> tuple[Path, str]:
     """The folder of a whole track, and what was printed."""
     with redirect_stderr(StringIO()) as printed:
         assert run("track", faulty, "--out", faulty.parent / "out", "--set", "output.overlay=false") == 0
     return faulty.parent / "out", printed.getvalue()
 
 
-def test_the_result_holds_limbs_and_cameras(told: tuple[Path, str]) -> None:
-    result = read_result(told[0] / "result.h5")
+def test_the_result_holds_limbs_and_cameras(printed_run: tuple[Path, str]) -> None:
+    result = read_result(printed_run[0] / "result.h5")
     first_out = np.flatnonzero(result.left_out[:, 0])
     assert set(range(MOVED[3], MOVED[-1])) <= set(first_out) and not result.left_out[:, 1:].any()
     assert first_out[0] in MOVED and first_out[-1] < MOVED[-1] + 12  # it is taken back
@@ -69,9 +69,12 @@ def test_the_result_holds_limbs_and_cameras(told: tuple[Path, str]) -> None:
 
 
 def test_resumed_frames_hold_the_same_and_the_command_tells_it(
-    told: tuple[Path, str], faulty: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    printed_run: tuple[Path, str], faulty: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    whole, quiet = read_result(told[0] / "result.h5"), ("--set", "output.overlay=false", "--set", "output.report=false")
+    whole, quiet = (
+        read_result(printed_run[0] / "result.h5"),
+        ("--set", "output.overlay=false", "--set", "output.report=false"),
+    )
     assert run("track", faulty, "--out", tmp_path, "--frames", "0:25", *quiet) == 0
     output = document(capsys, "track", faulty, "--out", tmp_path, "--resume", *quiet)
     resumed = read_result(tmp_path / "result.h5")
@@ -87,8 +90,8 @@ def test_resumed_frames_hold_the_same_and_the_command_tells_it(
     assert blank.startswith("camera cam03 showed nothing new in 2 frames: 6–7 (")
 
 
-def test_what_is_printed_and_written_tells_it(told: tuple[Path, str]) -> None:
-    (out, printed), page = told, (told[0] / "report.html").read_text()
+def test_what_is_printed_and_written_tells_it(printed_run: tuple[Path, str]) -> None:
+    (out, printed), page = printed_run, (printed_run[0] / "report.html").read_text()
     for text in (printed, page):
         assert "camera cam01 was left out in" in text and "camera cam01 was out of its place in" in text
         assert "(no images)" in text

@@ -110,7 +110,7 @@ def test_a_track_that_goes_on_from_any_frame_is_the_undisturbed_one(kind: str, v
         states.append(state)
         whole.append(estimate)
     again = model_of(kind, made)
-    for k in range(0, len(frames), 1 if views == 4 else 4):
+    for k in range(0, len(frames), 1 if kind == "direct" else 4):
         restored, _ = from_bytes(to_bytes(states[k]), again)
         assert same(restored, states[k]), k
         end, rest = tracked(restored, frames[k : k + 3], again)
