@@ -32,7 +32,7 @@ def test_the_mesh_has_the_depth_of_the_quadratic() -> None:
     posed = Posed(body, Pose.rest(body))
     seen = render(posed, view)
     rows, columns = (i.astype(np.int32) for i in np.nonzero(seen.inside > 3))
-    z = view.scale * view.depth(seen.surface_points(rows, columns).at(posed))
+    z = view.scale * seen.surface_points(rows, columns).at(posed) @ view.rotation[2]
     T = posed.segment_transforms[ellipsoids.segments]
     turned = view.rotation @ T[:, :3, :3]
     forms = np.einsum("eij,ejk,elk->eil", turned, ellipsoids.forms(), turned) / view.scale**2

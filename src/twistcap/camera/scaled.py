@@ -50,11 +50,6 @@ class ScaledView:
             raise InputError("differential: part of the body is behind a camera; perspective needs all of it in front.")
         return homogeneous[..., :2] / homogeneous[..., 2:]
 
-    def depth(self, points: Float) -> Float:
-        """(...,) m along the optical axis: from a pinhole, or without K from the body frame's origin."""
-        axis, start = (self.rotation[2], 0.0) if self.K is None else (self.P[2, :3], self.P[2, 3])
-        return points @ axis + start
-
     @cached_property
     def P(self) -> Float:
         """(3, 4) projection of a point of the body frame to its pixel; affine where no K is known."""

@@ -52,7 +52,7 @@ def keyviews(
 @body.command()
 def silhouettes(
     views: Annotated[Path, typer.Argument(help="TOML that names the four pictures.", metavar="KEYVIEWS.toml")],
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 chooses a free one.")] = 0,
+    port: terminal.Port = 0,
 ) -> None:
     """Cut the person out of the key views in the browser: draw a rectangle, then paint person and background.
 

@@ -34,7 +34,7 @@ def export(
         Path | None, typer.Option(help="The rigged GLB that was tracked: glb and bvh then have its own bones.")
     ] = None,
     rig: Annotated[Path | None, typer.Option(help="Rig file of --into, where none is beside it.")] = None,
-    frames: Annotated[str | None, typer.Option(help="Frames FIRST:LAST, both included. Default: all.")] = None,
+    frames: terminal.Frames = None,
     json: terminal.Json = False,
 ) -> None:
     """Write a result as markers (trc, c3d), joint angles (mot, csv), animation (bvh, glb, usd), or an OpenSim model.

@@ -28,7 +28,7 @@ def gait(
         float | None, typer.Option(help="Hz, of the Butterworth filter. Default: by spectrum and covariance.")
     ] = None,
     angles: Annotated[str, typer.Option(help="Definition of joint angles: opensim, isb.")] = "opensim",
-    frames: Annotated[str | None, typer.Option(help="Frames FIRST:LAST, both included. Default: all.")] = None,
+    frames: terminal.Frames = None,
     norms: Annotated[Path | None, typer.Option(help="JSON of published bands, drawn behind the cycles.")] = None,
     norms_speed: Annotated[str, typer.Option(help="Which speed of these bands.")] = "Free",
     event: Annotated[

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,12 +15,13 @@ from twistcap.evaluate.events import Event, event_times
 from twistcap.evaluate.filters import Filter, Filtered, in_words
 from twistcap.evaluate.gait import SIDES, UNITS, Gait, Measure, Stride, gait_of, parameters, symmetry
 from twistcap.io.coordinates import Angles
-from twistcap.io.files import replacing
 from twistcap.io.norms import PERCENT, Band
 from twistcap.io.result import Result
+from twistcap.io.tidy import write_rows
 from twistcap.report.plots import cycle_plot
 from twistcap.report.verdict import grade_of, kept_by_most
 
+_END = "\r\n"  # of a line of CSV, as RFC 4180 has it
 _STRIKES = tuple(f"heel_strike_{side}" for side in SIDES)
 
 
@@ -137,7 +136,7 @@ def _write_events(folder: Path, read: Result, events: Mapping[str, Float]) -> Pa
     """In the order of time; the frame is the nearest."""
     each = sorted((float(time), name) for name, times in events.items() for time in times)
     rows = [[name, f"{time:.4f}", int(read.indices[np.argmin(np.abs(read.times - time))])] for time, name in each]
-    return _table(folder / "events.csv", ["event", "time_s", "frame"], rows)
+    return write_rows(folder / "events.csv", ["event", "time_s", "frame"], rows, _END)
 
 
 def _write_parameters(folder: Path, measures: Mapping[str, Mapping[str, Measure]]) -> Path:
@@ -148,13 +147,13 @@ def _write_parameters(folder: Path, measures: Mapping[str, Mapping[str, Measure]
     ]
     rows += [["symmetry", name, "%", _cell(index), "", "", ""] for name, index in symmetry(measures).items()]
     head = ["side", "parameter", "unit", "mean", "standard_deviation", "standard_error_by_covariance", "strides"]
-    return _table(folder / "gait.csv", head, rows)
+    return write_rows(folder / "gait.csv", head, rows, _END)
 
 
 def _write_strides(folder: Path, found: Gait) -> Path:
     names = [one.name for one in fields(Stride)]
     rows = [[value if isinstance(value, str) else _cell(value) for value in vars(s).values()] for s in found.strides]
-    return _table(folder / "strides.csv", names, rows)
+    return write_rows(folder / "strides.csv", names, rows, _END)
 
 
 def _write_cycles(folder: Path, curves: Mapping[str, Cycle]) -> Path:
@@ -166,17 +165,9 @@ def _write_cycles(folder: Path, curves: Mapping[str, Cycle]) -> Path:
         for p, m, d, s in zip(PERCENT, c.mean, c.deviation, c.sigma, strict=True)
     ]  # fmt: skip
     head = ["side", "percent", "coordinate", "mean_deg", "sd_deg", "sigma_deg", "strides", "cutoff_hz", "reliable"]
-    return _table(folder / "cycles.csv", head, rows)
+    return write_rows(folder / "cycles.csv", head, rows, _END)
 
 
 def _cell(value: float, digits: int = 5) -> str:
     """A number; empty where there is none, since not every program reads ``nan``."""
     return f"{value:.{digits}f}" if np.isfinite(value) else ""
-
-
-def _table(path: Path, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Path:
-    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(head)
-        writer.writerows(rows)
-    return path

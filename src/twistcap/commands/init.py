@@ -23,7 +23,7 @@ def init(
     ] = None,
     people: Annotated[str | None, typer.Option(help="With --detector RTMPose: a YOLOX that finds people.")] = None,
     auto: Annotated[bool, typer.Option("--auto", help="Start from the pose that is found in the images.")] = False,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 chooses a free one.")] = 0,
+    port: terminal.Port = 0,
 ) -> None:
     """Click joints of the first frame in two or more views. The body follows, and SESSION reads what you save.
 

@@ -20,9 +20,7 @@ def build(
     fps: Annotated[float, typer.Option(min=1, help="Frame rate of the recording that you will track.")] = 60.0,
     variant: Annotated[str, typer.Option(help="Built-in body whose coordinates are used: full or legs.")] = "full",
     mirrored: Annotated[bool, typer.Option("--mirrored", help="Add the mirror image of each motion.")] = False,
-    coordinates: Annotated[
-        str | None, typer.Option(help="Joint coordinates, separated by commas. Default: all that every file has.")
-    ] = None,
+    coordinates: terminal.Coordinates = None,
     skeleton: Annotated[
         Path | None, typer.Option(help="ASF of all AMC files. Default: the one in the folder of each.", metavar="ASF")
     ] = None,
@@ -43,7 +41,7 @@ def build(
 
     terminal.output_file(out, "OUT", ".npz")
     body = humanoid(cast(Literal["full", "legs"], variant))  # which checks it
-    names = [name.strip() for name in coordinates.split(",")] if coordinates else None
+    names = terminal.names_in(coordinates)
     skeletons = [skeleton if path.suffix.lower() == ".amc" else None for path in files]
     clips = [read_motion(path, body, skeleton=its, rate=fps) for path, its in zip(files, skeletons, strict=True)]
     library = MotionLibrary.of(clips, fps, names, mirrored)

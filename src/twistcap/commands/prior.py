@@ -24,9 +24,7 @@ def train(
     files: Annotated[list[Path], typer.Argument(help="Motions: .mot, .sto, result.h5, .npz.", metavar="FILE...")],
     every: Annotated[int, typer.Option(min=1, help="Take every n-th frame.")] = 1,
     sigma_deg: Annotated[float | None, typer.Option(help="Kernel width, degrees. Default: the paper's rule.")] = None,
-    coordinates: Annotated[
-        str | None, typer.Option(help="Joint coordinates, separated by commas. Default: all that every file has.")
-    ] = None,
+    coordinates: terminal.Coordinates = None,
     scale: Annotated[
         list[str] | None, typer.Option(metavar="NAME=FACTOR", help="Divide a coordinate's differences by a factor.")
     ] = None,
@@ -48,7 +46,7 @@ def train(
     from twistcap.io.prior_file import trained_prior, write_prior
 
     terminal.output_file(out, "OUT", ".npz")
-    names = [name.strip() for name in coordinates.split(",")] if coordinates else None
+    names = terminal.names_in(coordinates)
     sigma = None if sigma_deg is None else float(np.radians(sigma_deg))
     made = trained_prior(files, every, names, sigma, _factors(scale or []))
     width, median = (float(np.degrees(angle)) for angle in (made.sigma, made.median_distance))

@@ -28,6 +28,11 @@ Videos = Annotated[
     list[str] | None, typer.Option(help="A video, a folder, or images. Write CAMERA=PATH if the name is not enough.")
 ]
 MoreVideos = Annotated[list[str] | None, typer.Argument(help="More videos, as for --videos.", metavar="[VIDEO]...")]
+Port = Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 chooses a free one.")]
+Frames = Annotated[str | None, typer.Option(help="Frames FIRST:LAST, both included. Default: all.")]
+Coordinates = Annotated[
+    str | None, typer.Option(help="Joint coordinates, separated by commas. Default: all that every file has.")
+]
 Advance = Callable[[str], None]
 _made = list[Path]()  # folders of this run, inner ones first; they go again where nothing is written into them
 
@@ -216,6 +221,11 @@ def tracked(path: Path, frames: str | None = None) -> Result:
         held = f" in {frames}; it has {whole.indices[0]} to {whole.indices[-1]}, see --frames" if len(whole) else ""
         raise InputError(f"result file {path} has no frame{held}.")
     return result
+
+
+def names_in(text: str | None) -> list[str] | None:
+    """``a, b`` as names; None where none are given."""
+    return [name.strip() for name in text.split(",")] if text else None
 
 
 def image_size(text: str) -> tuple[int, int]:

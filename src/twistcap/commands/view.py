@@ -32,7 +32,7 @@ def view(
     images: Annotated[
         int | None, typer.Option(min=0, help="Most frames with images. Default: 120 with --session, else none.")
     ] = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 chooses a free one.")] = 0,
+    port: terminal.Port = 0,
     json: terminal.Json = False,
 ) -> None:
     """Look at results: body in 3D, cameras with their images and outlines, joint angles with ± 2σ, lost frames.

@@ -119,7 +119,7 @@ def noise_cutoff(values: Float, sigmas: Float, rate: float, known: Bool) -> floa
     return float(np.clip(at, least, most))
 
 
-def smoothed(motion: Motion, noise: MotionNoise | None = None) -> list[Pose]:
+def smoothed(motion: Motion) -> list[Pose]:
     """The poses that fit both those given, by their covariance, and the accelerations that ``refine`` expects.
 
     Each run of known frames by itself; others stay as they are. For one coordinate it passes 1 / (1 + (ω / ω₀)⁴) at
@@ -129,7 +129,7 @@ def smoothed(motion: Motion, noise: MotionNoise | None = None) -> list[Pose]:
     out = list(motion.poses)
     for first, end in runs(motion.known):
         if end - first >= 3:
-            track = _Smoothing(motion, range(first, end), noise or MotionNoise())
+            track = _Smoothing(motion, range(first, end))
             out[first:end] = minimise(track, tuple(out[first:end]), _STEPS).x
     return out
 
@@ -166,7 +166,6 @@ class _Smoothing:
 
     motion: Motion
     frames: range
-    noise: MotionNoise
 
     @cached_property
     def information(self) -> Float:
@@ -180,7 +179,7 @@ class _Smoothing:
         """Of the evidence and of the accelerations."""
         steps = self._steps(x)
         evidence = 0.5 * float(np.einsum("ti,tij,tj->", steps, self.information, steps))
-        return {"evidence": evidence, "motion": accelerations(x, self._times, self.noise)}
+        return {"evidence": evidence, "motion": accelerations(x, self._times)}
 
     def linearised(self, x: tuple[Pose, ...]) -> Arrow:
         """Their quadratic; the step from a pose given to one near it moves as the pose does."""
@@ -189,7 +188,7 @@ class _Smoothing:
         for t, (step, information) in enumerate(zip(steps, self.information, strict=True)):
             arrow.value += 0.5 * float(step @ information @ step)
             arrow.add_pose(t, information @ step, information)
-        arrow.value += accelerations(x, self._times, self.noise, arrow)
+        arrow.value += accelerations(x, self._times, system=arrow)
         return arrow
 
     def retract(self, x: tuple[Pose, ...], step: Float) -> tuple[Pose, ...]:

@@ -9,9 +9,8 @@ import numpy as np
 
 from twistcap.doors.c3d import read_c3d_arrays
 from twistcap.errors import check
-from twistcap.io.markers import TO_FILE, Markers, WorldAxes
+from twistcap.io.markers import TO_FILE, UNITS, Markers, WorldAxes
 
-_UNITS: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _SAME = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist", "heel", "eye", "ear")
 _DETECTOR_NAMES: Mapping[str, str] = {**{name: name for name in _SAME}, "bigtoe": "toe", "smalltoe": "small_toe"}
 _CENTRES = {"hjc": "hip", "kjc": "knee", "ajc": "ankle", "sjc": "shoulder", "ejc": "elbow", "wjc": "wrist"}
@@ -41,7 +40,7 @@ def read_c3d(path: Path | str, axes: WorldAxes = "opensim") -> Markers:
     """
     held = read_c3d_arrays(path)
     unit = str(held["unit"])
-    check(str(path), unit in _UNITS, f"POINT:UNITS is {unit!r}; it must be one of {', '.join(_UNITS)}")
+    check(str(path), unit in UNITS, f"POINT:UNITS is {unit!r}; it must be one of {', '.join(UNITS)}")
     names, points = [landmark_name(str(name)) for name in held["labels"]], held["points"]
     if "segments" in held:
         at = {_joint_of(str(label)): r for r, label in enumerate(held["segments"])}
@@ -51,7 +50,7 @@ def read_c3d(path: Path | str, axes: WorldAxes = "opensim") -> Markers:
     first, rate = int(held["first"]), float(held["rate"])
     start = float(held["start"]) if "start" in held and first == 0 else first / rate
     times = start + np.arange(len(points)) / rate
-    return Markers(tuple(names), times, points * _UNITS[unit] @ TO_FILE[axes])
+    return Markers(tuple(names), times, points * UNITS[unit] @ TO_FILE[axes])
 
 
 def _joint_of(segment: str) -> str:

@@ -30,7 +30,7 @@ TO_FILE: Mapping[str, Float] = {  # (3, 3) from our world (z up) to the file's a
 }
 CLOCK: Schema = {"times": real("N", least=-1e11, most=1e11, needed=False), "fps": real(least=1e-3, needed=False)}
 _POINTS: Schema = {"X": real("N", "P", 3, gaps=True), "names": word("P", needed=False), **CLOCK}
-_UNITS: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+UNITS: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 
 @dataclass(frozen=True)
@@ -81,14 +81,14 @@ def read_trc(path: Path | str, axes: WorldAxes = "opensim") -> Markers:
         raise InputError(f"{path}: not a TRC file (its first line must start with PathFileType).")
     header = dict(zip(lines[1].split(), lines[2].split(), strict=False))
     unit = header.get("Units", "")
-    check(str(path), unit in _UNITS, f"Units is {unit!r}; it must be one of {', '.join(_UNITS)}")
+    check(str(path), unit in UNITS, f"Units is {unit!r}; it must be one of {', '.join(UNITS)}")
     names = tuple(name.strip() for name in lines[3].split("\t")[2:] if name.strip())
     if header.get("NumMarkers") != str(len(names)):
         raise InputError(f"{path}: NumMarkers is {header.get('NumMarkers')}, but line 4 names {len(names)} markers.")
     rows = [_trc_row(path, n, line, len(names)) for n, line in enumerate(lines[5:], start=6) if line.strip()]
     check(str(path), rows, "it has no frames")
     table = np.array(rows)
-    points = table[:, 2:].reshape(len(table), len(names), 3) * _UNITS[unit]
+    points = table[:, 2:].reshape(len(table), len(names), 3) * UNITS[unit]
     return Markers(names, table[:, 1], points @ TO_FILE[axes])
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from twistcap.arrays import AnyArray, Bool, Float, even_clock
+from twistcap.arrays import AnyArray, Bool, Float, even_clock, runs
 from twistcap.body import Pose
 from twistcap.errors import check
 from twistcap.io.result import Result
@@ -41,10 +41,8 @@ class Playback:
     @property
     def flags(self) -> dict[str, Any]:
         """For JSON: rate, number of frames, time of the first, and first and last of each span that is not known."""
-        lost = np.flatnonzero(~self.known)
-        spans = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1) if len(lost) else []
-        lost_spans = [[int(span[0]), int(span[-1])] for span in spans]
-        return {"fps": round(self.rate, 6), "frames": len(self.times), "start_s": self.start, "lost": lost_spans}
+        lost = [[first, end - 1] for first, end in runs(~self.known)]
+        return {"fps": round(self.rate, 6), "frames": len(self.times), "start_s": self.start, "lost": lost}
 
     def even(self, fps: float | None = None) -> Playback:
         """The same motion at an even rate (1/s), by default its own. A pose is known where both neighbours are, and no

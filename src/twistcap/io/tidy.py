@@ -37,15 +37,13 @@ def _number(value: float) -> str:
     return f"{value:.6f}" if np.isfinite(value) else ""
 
 
-def write_rows(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> int:
-    """A CSV with a head; the number of its rows. Raises InputError where it cannot be written."""
-    count = 0
+def write_rows(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]], end: str = "\n") -> Path:
+    """A CSV with a head and the `end` of its lines; its path. Raises InputError where it cannot be written."""
     with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
+        writer = csv.writer(file, lineterminator=end)
         writer.writerow(head)
-        for count, row in enumerate(rows, 1):  # noqa: B007 (the count is wanted)
-            writer.writerow(row)
-    return count
+        writer.writerows(rows)
+    return path
 
 
 def join(path: Path, head: Sequence[str], parts: Iterable[Path]) -> None:

@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twistcap.adjust.first_pose.outline import Girths, Outline, OutlineTerm, match, outline_of
-from twistcap.arrays import AnyArray, Bool, Float
+from twistcap.arrays import AnyArray, Bool
 from twistcap.body import Body, Pose
 from twistcap.body.kinematics import Posed
 from twistcap.body.model import unsided
 from twistcap.body.shape import RestMotion
 from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.errors import InputError, check
-from twistcap.region.compare import iou
 from twistcap.render import render, visible_contour
 from twistcap.solve import BlockProblem, PoseTrack, Variables, minimise
 from twistcap.terms import BlockGaussian, BlockTerm, GaussianTerm, OnPose
@@ -25,16 +24,14 @@ Groups = Mapping[str, Sequence[str]]
 
 @dataclass(frozen=True)
 class Refined:
-    """A body with its girths, and its pose at each of F instants, refined on silhouettes.
+    """A body, and its pose at each of F instants, refined on silhouettes.
 
-    `girths` are factors of the segments against the body given, `iou` (F, C) is the overlap of model and mask, NaN
-    without mask.
+    `girths` are factors of the segments against the body given.
     """
 
     body: Body
     poses: tuple[Pose, ...]
     girths: Mapping[str, float]
-    iou: Float
 
 
 # Lengths as fractions of the person's height in the image.
@@ -93,9 +90,8 @@ def refine_on_silhouettes(
             motion = x["girths"].rest_motion()
         terms = [term for f, instant in enumerate(instants) for term in instant.terms(x, motion, f, reach)]
         x = _stepped(x, [*terms, *priors])
-    refined, girths = x["poses"].poses, x["girths"]
-    overlaps = [instant.overlaps(Posed(girths.body, p)) for instant, p in zip(instants, refined, strict=True)]
-    return Refined(girths.body, refined, girths.factors, np.array(overlaps))
+    girths = x["girths"]
+    return Refined(girths.body, x["poses"].poses, girths.factors)
 
 
 def _stepped(x: Variables, terms: Sequence[BlockTerm]) -> Variables:
@@ -108,10 +104,9 @@ def _stepped(x: Variables, terms: Sequence[BlockTerm]) -> Variables:
 
 @dataclass(frozen=True)
 class _Instant:
-    """Masks of one instant, rectified, and their outlines."""
+    """Outlines of the rectified masks of one instant, and the heights of these, px."""
 
     cameras: tuple[Camera, ...]
-    masks: tuple[Bool | None, ...]
     outlines: tuple[Outline | None, ...]
     heights: tuple[float, ...]
 
@@ -123,7 +118,7 @@ class _Instant:
         flat = tuple(None if m is None else _rectified(c, m) for c, m in zip(rig, masks, strict=True))
         heights = tuple(0.0 if m is None else _height(m) for m in flat)
         outlines = tuple(None if m is None else outline_of(m, _SPACING * h) for m, h in zip(flat, heights, strict=True))
-        return _Instant(tuple(rig.pinhole()), flat, outlines, heights)
+        return _Instant(tuple(rig.pinhole()), outlines, heights)
 
     def terms(self, x: Variables, motion: RestMotion | None, f: int, reach: float) -> list[OutlineTerm]:
         """The outlines of this instant, number `f` of the track, matched with the model as it is."""
@@ -137,11 +132,6 @@ class _Instant:
                 sigma, weight = _SIGMA * height, _COUNTED * matches.weight
                 out.append(OutlineTerm(camera.P, points, girths, motion, matches.normals, target, sigma, weight, f))
         return out
-
-    def overlaps(self, posed: Posed) -> list[float]:
-        """Intersection over union in each view, NaN without mask."""
-        pairs = zip(self.cameras, self.masks, strict=True)
-        return [np.nan if mask is None else iou(render(posed, camera).mask, mask) for camera, mask in pairs]
 
 
 def _rectified(camera: Camera, mask: AnyArray) -> Bool:
