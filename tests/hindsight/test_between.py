@@ -16,7 +16,9 @@ from twistcap.body import Pose
 from twistcap.build import build
 from twistcap.evaluate.metrics import JOINT_CENTRES
 from twistcap.hindsight import Passed, between, looked_between, tracked
+from twistcap.search.doubt import DoubtRule
 from twistcap.search.flag import shortfall
+from twistcap.search.lost import LostBody
 from twistcap.search.memory import LACKED, LostMemory
 from twistcap.track import State
 
@@ -115,6 +117,7 @@ def test_arms_that_jerks_threw_off_are_right_in_the_end(monkeypatch: pytest.Monk
     """Two cameras: one arm is astray for seven frames, then the other for eleven; both come back by themselves."""
     take = take_of(5032, kind_of(5032))
     frames, model = list(take.frames())[:48], build(take.scene.body, take.scene.rig)
+    model = replace(model, searches=(LostBody(doubt=DoubtRule(doubtful=1.0)),))  # or a search finds them in time
 
     def worst() -> float:
         poses = [e.pose for e in tracked(frames, model, take.first_pose)]

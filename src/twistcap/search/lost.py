@@ -24,6 +24,7 @@ from twistcap.search import Beginning, Problem, Proposals, Revision
 from twistcap.search.beside import BesideRule, agreement, beside, limbs_beside
 from twistcap.search.bump import BumpRule, Unrest
 from twistcap.search.contradiction import ContradictionRule, Judged, judged
+from twistcap.search.doubt import DoubtRule
 from twistcap.search.evidence import Evidence
 from twistcap.search.flag import MOST_USUAL, USUAL, at_limits, contour_signs, displaced, flag_groups, image_signs
 from twistcap.search.limb import LimbRule, placed, regained, taught
@@ -93,6 +94,7 @@ class LostBody(Checked):
     beside: BesideRule = field(default_factory=BesideRule)
     limb: LimbRule = field(default_factory=LimbRule)
     bump: BumpRule = field(default_factory=BumpRule)
+    doubt: DoubtRule = field(default_factory=DoubtRule)
     proposals: Proposals | None = None
     name: str = field(default="lost body", init=False)
 
@@ -126,13 +128,11 @@ class LostBody(Checked):
         found, jumped = self.doubted * memory.found, self.wary * memory.jumped
         memory = replace(memory.remembered, frames=memory.frames + 1, found=found, jumped=jumped)
         known = memory.known
-        if (
-            not problem.past.started
-            and problem.views
-            and (found := self._begun(problem, fit, memory.groups)) is not fit
-        ):
-            now = Judged(problem, found, known.check(found.posed, found.sights, problem))
-            return self._at(problem, found), self._learned(self._signed(memory, now), now, 1.0)
+        if not problem.past.started and problem.views:  # contours may agree better beside the first pose
+            other = limbs_beside(self.beside, problem, beside(self.beside, problem, fit), memory.groups)
+            if other is not fit:
+                now = Judged(problem, other, known.check(other.posed, other.sights, problem))
+                return self._at(problem, other), self._learned(self._signed(memory, now), now, 1.0)
         now = Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
         bumps, unrest = self.bump.bumps(memory.unrest, known, now)
         memory = replace(memory, unrest=unrest)
@@ -169,18 +169,16 @@ class LostBody(Checked):
             revision, memory = self._elsewhere(memory, now, ratio)
         else:  # or nothing can be said
             now, last, memory = self._with_limbs(memory, now, last)
-            if usual_known and self._missed(memory):
-                revision, memory = self._elsewhere(memory, now, ratio, self.margin)
+            if usual_known:
+                missed = self._missed(memory)
+                near = self._elsewhere(memory, now, ratio, self.margin) if missed else self._reconsidered(memory, now)
+                revision, memory = near
             if revision is None:
                 memory = self._learned(replace(memory, waiting=0), now, float(np.nan_to_num(ratio, nan=1.0)))
                 ample = now.check.pixels.sum() >= self.seen * known.pixels.sum()
                 if ratio >= self.learned and memory.found.max() < 0.5 and ample:
                     memory = replace(memory, surely=Moment(problem.frame.time, now.fit.pose))
         return replace(revision or Revision(now.fit, last), left_out=now.problem.left_out), memory
-
-    def _begun(self, problem: Problem, fit: Fit, groups: Bool) -> Fit:
-        """The first frame's fit, beside its first pose where the contours agree better."""
-        return limbs_beside(self.beside, problem, beside(self.beside, problem, fit), groups)
 
     def _fitted_without_look(self, known: Recollection, now: Judged) -> Judged | None:
         """The frame fitted without the body's look, where a light has been switched: no camera's background is what it
@@ -292,6 +290,20 @@ class LostBody(Checked):
         memory = replace(memory, waiting=(memory.waiting or self.again) - 1, nowhere=nowhere)
         return (Revision(None, problem.past.moments[-1]) if nowhere else None), memory
 
+    def _reconsidered(self, memory: LostMemory, now: Judged) -> tuple[Revision | None, LostMemory]:
+        """The body near where it is fitted, where that is in doubt and the pictures show it better."""
+        due, doubt = self.doubt.due(memory.doubt, memory.signs, memory.lately)
+        memory, problem, here = replace(memory, doubt=doubt), now.problem, now.fit.pose
+        if not due:
+            return None, memory
+        pose = self._searched(memory, problem, here, self.doubt.gain)
+        if pose is not None and np.linalg.norm(pose.root[:3, 3] - here.root[:3, 3]) < self.margin:
+            fit, evidence = problem.align(pose), memory.known.evidence(problem)
+            if evidence.of(fit.pose) > evidence.of(here) + self.doubt.gain * float(memory.known.nats.sum()):
+                memory = replace(memory, doubt=self.doubt.settled, found=np.ones(len(memory.groups)))
+                return self._at(problem, fit), memory
+        return None, replace(memory, doubt=self.doubt.in_vain(doubt))
+
     def _at(self, problem: Problem, fit: Fit) -> Revision:
         """The body elsewhere: the way there was no motion, nor was what no body does."""
         before = problem.past.moments[-1]
@@ -306,14 +318,16 @@ class LostBody(Checked):
         usual = past.moments[-1].time - past.moments[-2].time if past.moving else 0.0
         return past.started and time - past.seen_time > max(self.after, 1.5 * usual)
 
-    def _searched(self, memory: LostMemory, problem: Problem, here: Pose | None = None) -> Pose | None:
+    def _searched(
+        self, memory: LostMemory, problem: Problem, here: Pose | None = None, better: float | None = None
+    ) -> Pose | None:
         """Where the pictures show the body, clearly better than where it is fitted, if it is."""
         with stage("search"):
             evidence = memory.known.evidence(problem)
             if not evidence.views:
                 return None
             evidence = evidence.no_nearer((memory.surely or _last_seen(problem.past)).pose)
-            more = self.better * float(memory.known.nats.sum())
+            more = (self.better if better is None else better) * float(memory.known.nats.sum())
             least = -np.inf if here is None else evidence.of(here) + more
             return self.found(memory.known, problem, evidence, least, memory.surely)
 

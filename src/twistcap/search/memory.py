@@ -10,6 +10,7 @@ from twistcap.arrays import Bool, Float
 from twistcap.predict.history import Moment
 from twistcap.search.bump import Unrest
 from twistcap.search.contradiction import Suspicion
+from twistcap.search.doubt import Doubt
 from twistcap.search.flag import shortfall
 from twistcap.search.recollection import Recollection
 
@@ -32,6 +33,7 @@ class LostMemory:
         frames: counted.
         waiting: frames until the next search for the body.
         limb_waiting, limb_pause: frames until the next one for a limb, and between the last ones.
+        doubt: of the whole body where it is fitted.
         nowhere: whether the last one found the body nowhere.
         surely: when and where the body was last without doubt; from there on it is looked for.
         usual: (G, 3) what the contour usually says against each, see `contour_signs`.
@@ -50,6 +52,7 @@ class LostMemory:
     waiting: int = 0
     limb_waiting: int = 0
     limb_pause: int = 0
+    doubt: Doubt = field(default_factory=Doubt)
     nowhere: bool = False
     surely: Moment | None = None
     usual: Float | None = None
@@ -61,8 +64,8 @@ class LostMemory:
         """For another track through the same recording: nothing is doubted or waited for yet."""
         none = np.zeros(len(self.groups))
         return replace(
-            self, found=none, jumped=none, waiting=0, limb_waiting=0, limb_pause=0, nowhere=False, surely=None,
-            signs=None, lately=None, lacked=None,
+            self, found=none, jumped=none, waiting=0, limb_waiting=0, limb_pause=0, doubt=Doubt(), nowhere=False,
+            surely=None, signs=None, lately=None, lacked=None,
         )  # fmt: skip
 
     @property

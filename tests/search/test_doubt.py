@@ -1,0 +1,58 @@
+"""A body that is in doubt is looked for again near where it is fitted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from support.faulty_walk import tracked_walk, walk
+from twistcap.body import Pose, Posed
+from twistcap.body.model import partners
+from twistcap.predict import Prediction
+from twistcap.search.contradiction import Judged
+from twistcap.search.doubt import Doubt, DoubtRule
+from twistcap.search.lost import LostBody
+from twistcap.track.step import posed_problem
+
+FRAME = 12
+
+
+def test_it_is_looked_for_ever_more_seldom_while_it_is_not_found() -> None:
+    rule, doubt, asked = DoubtRule(again=2, longest=8), Doubt(), list[int]()
+    doubtful = np.ones((6, 11))
+    assert rule.probability(0.0 * doubtful, 0.0 * doubtful) < rule.doubtful < rule.probability(doubtful, doubtful)
+    for k in range(40):
+        due, doubt = rule.due(doubt, doubtful, doubtful)
+        if due:
+            doubt, asked = rule.in_vain(doubt), [*asked, k]
+    assert np.diff(asked).tolist() == [3, 5, 9, 9, 9]
+    assert rule.due(Doubt(), None, None) == rule.due(Doubt(), 0.0 * doubtful, 0.0 * doubtful) == (False, Doubt())
+    for _ in range(8):
+        _, doubt = rule.due(doubt, 0.0 * doubtful, 0.0 * doubtful)
+    assert doubt == Doubt()
+    assert rule.due(rule.settled, doubtful, doubtful) == (False, Doubt(rule.again - 1))
+
+
+@pytest.mark.parametrize(("wrong", "gain", "found"), [(True, 0.04, True), (True, 9.0, False), (False, 0.04, False)])
+def test_limbs_that_are_wrong_together_are_found_together(wrong: bool, gain: float, found: bool) -> None:
+    """All limbs are where those of the other side belong."""
+    scene, frames = walk()
+    *_, (_, tracker) = islice(tracked_walk(lambda frame: frame), FRAME)
+    here, none = scene.true_poses[FRAME], np.zeros((scene.body.dof,) * 2)
+    start = Pose(here.root, here.q[partners(scene.body.coordinate_names)]) if wrong else here
+    problem = posed_problem(tracker.state, frames[FRAME], tracker.model, Prediction(start, "hold", none, none))
+    fit, memory = problem.measured(start), tracker.state.searches["lost body"]
+    doubtful = np.ones_like(memory.lately)
+    memory = replace(memory, doubt=Doubt(), signs=doubtful, lately=doubtful)
+    now = Judged(problem, fit, memory.known.check(fit.posed, fit.sights, problem))
+    revision, after = LostBody(doubt=DoubtRule(gain=gain))._reconsidered(memory, now)
+    assert (revision is not None) == found
+    assert after.doubt == (DoubtRule().settled if found else Doubt(DoubtRule().again, DoubtRule().again))
+    if revision is not None:
+        assert revision.fit is not None
+        off = np.linalg.norm(Posed(scene.body, revision.fit.pose).landmarks - scene.landmarks[FRAME], axis=1).max()
+        wide = np.linalg.norm(Posed(scene.body, start).landmarks - scene.landmarks[FRAME], axis=1).max()
+        assert off < 0.05 < 0.2 < wide
