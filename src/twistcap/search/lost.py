@@ -300,8 +300,8 @@ class LostBody(Checked):
         if pose is not None and np.linalg.norm(pose.root[:3, 3] - here.root[:3, 3]) < self.margin:
             fit, evidence = problem.align(pose), memory.known.evidence(problem)
             if evidence.of(fit.pose) > evidence.of(here) + self.doubt.gain * float(memory.known.nats.sum()):
-                memory = replace(memory, doubt=self.doubt.settled, found=np.ones(len(memory.groups)))
-                return self._at(problem, fit), memory
+                found = np.where(displaced(memory.groups, fit.posed, here) > self.doubt.moved, 1.0, memory.found)
+                return self._at(problem, fit), replace(memory, doubt=self.doubt.settled, found=found)
         return None, replace(memory, doubt=self.doubt.in_vain(doubt))
 
     def _at(self, problem: Problem, fit: Fit) -> Revision:
