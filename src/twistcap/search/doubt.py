@@ -37,6 +37,8 @@ class DoubtRule(Checked):
         doubtful: probability of being lost from which on it is looked for. Of the fault bench's lost frames 89 %
             have it, and of those that are right 9 %.
         gain: evidence that it must gain, as a fraction of what is usual.
+        near: m that the root may move. It is the limbs that are in doubt: where cameras contradict each other, one that
+            is wrong would pull the whole body aside.
         moved: m, limbs that are moved farther have been found, and are doubted as such.
         again, longest: frames until it is looked for again. They double up to the longest where it was not found.
         flag: tells that probability.
@@ -44,6 +46,7 @@ class DoubtRule(Checked):
 
     doubtful: Share = 0.01
     gain: float = 0.04
+    near: Annotated[float, Range(0.0, 10.0)] = 0.1
     moved: Annotated[float, Range(0.0, 1.0)] = 0.05
     again: Count = 3
     longest: Count = 32

@@ -297,7 +297,7 @@ class LostBody(Checked):
         if not due:
             return None, memory
         pose = self._searched(memory, problem, here, self.doubt.gain)
-        if pose is not None and np.linalg.norm(pose.root[:3, 3] - here.root[:3, 3]) < self.margin:
+        if pose is not None and np.linalg.norm(pose.root[:3, 3] - here.root[:3, 3]) < self.doubt.near:
             fit, evidence = problem.align(pose), memory.known.evidence(problem)
             if evidence.of(fit.pose) > evidence.of(here) + self.doubt.gain * float(memory.known.nats.sum()):
                 found = np.where(displaced(memory.groups, fit.posed, here) > self.doubt.moved, 1.0, memory.found)
