@@ -175,8 +175,7 @@ class LostBody(Checked):
                 revision, memory = near
             if revision is None:
                 memory = self._learned(replace(memory, waiting=0), now, float(np.nan_to_num(ratio, nan=1.0)))
-                ample = now.check.pixels.sum() >= self.seen * known.pixels.sum()
-                if ratio >= self.learned and memory.found.max() < 0.5 and ample:
+                if ratio >= self.learned and memory.found.max() < 0.5 and known.in_sight(now.check) >= self.seen:
                     memory = replace(memory, surely=Moment(problem.frame.time, now.fit.pose))
         return replace(revision or Revision(now.fit, last), left_out=now.problem.left_out), memory
 
@@ -185,8 +184,8 @@ class LostBody(Checked):
         was, and the contour agrees all the same. The colours of the old light would mislead the fit.
         """
         fitting = now.check.fitting / known.fitting
-        seen, ample = ~np.isnan(fitting), now.check.pixels.sum() >= self.seen * known.pixels.sum()
-        if not ample or not seen.any() or np.any(fitting[seen] >= self.relit):
+        seen = ~np.isnan(fitting)
+        if known.in_sight(now.check) < self.seen or not seen.any() or np.any(fitting[seen] >= self.relit):
             return None
         problem = now.problem.without_look()
         fit = problem.align(problem.start)
@@ -294,7 +293,7 @@ class LostBody(Checked):
         """The body near where it is fitted, where that is in doubt and the pictures show it better."""
         due, doubt = self.doubt.due(memory.doubt, memory.signs, memory.lately)
         memory, problem, here = replace(memory, doubt=doubt), now.problem, now.fit.pose
-        if not due:
+        if not due or memory.known.in_sight(now.check) < self.seen:  # what little is seen may look better anywhere
             return None, memory
         pose = self._searched(memory, problem, here, self.doubt.gain)
         if pose is not None and np.linalg.norm(pose.root[:3, 3] - here.root[:3, 3]) < self.doubt.near:

@@ -109,6 +109,10 @@ class Recollection:
         """Whether enough of the body has been seen, in colours that differ from the background's, to judge by it."""
         return float(self.pixels.sum()) >= _ENOUGH and float(self.nats.sum()) >= _TELLING * float(self.pixels.sum())
 
+    def in_sight(self, covered: Covered) -> float:
+        """How many pixels a body covers, over what is usual."""
+        return float(covered.pixels.sum() / max(self.pixels.sum(), 1e-9))
+
     def ratios(self, covered: Covered, clear: float = 0.0) -> Float:
         """(cameras,) evidence of a body over what is usual for so many pixels; NaN in cameras that show nearly nothing
         of it. Where it usually has less than `clear` nats for each pixel, the evidence that lacks is divided by those.
