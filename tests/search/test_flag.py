@@ -145,3 +145,12 @@ def test_all_limbs_are_looked_at_where_the_bodys_colours_lie_bare() -> None:
     bare = replace(quiet, uncovered=quiet.uncovered + np.where(np.arange(groups.shape[1]) == 3, [[0.0], [60.0]], 0.0))
     looks = [rule.due(known, bare, groups, frame) for frame in range(2 * rule.every)]
     assert [look for look in looks if look] == 2 * [list(range(limbs))]
+
+
+def test_a_body_of_which_hardly_anything_is_in_sight_is_gone() -> None:
+    rule, signs = FlagRule(), np.zeros((6, SIGNS))
+    limbs = rule.limbs(signs, signs, np.full(6, 0.01))
+    signs[:, 6] = 0.85
+    assert rule.whole(limbs, signs) == rule.whole(limbs) < 0.5
+    signs[:, 6] = 0.95
+    assert rule.whole(limbs, signs) == rule.gone > 0.5

@@ -29,6 +29,7 @@ MOST_USUAL = (0.2, 0.35, 0.4)
 _LOST = 0.15  # m off, a joint is lost
 _CONTRAST = 0.4  # of a limb's contour points that tell it from what is behind it; with fewer nothing says it is right
 _AT_LIMIT = 0.02  # rad from a limit
+_UNSEEN = 6  # sign: how much of a limb is not seen
 _MEANS = [0, 1, 2, 3, 5, 6]  # signs whose running means count as well; that of `late` is one
 _OF = {
     "clear": (-0.1, 0.1, 0.25, 0.4, 0.6, 1.0), "in_view": (0.0, 0.3, 0.6, 1.0, 1.5), "bare": (0.0, 0.1, 0.3, 1.0),
@@ -161,6 +162,7 @@ class FlagRule(Checked):
         again: added to the log odds of each limb in frames that are tracked again in hindsight: such a track has no
             history of doubts.
         gone: least probability where there are images, and none shows the body: it is elsewhere, or hardly in sight.
+        hardly: mean fraction of each limb that is not seen, from which on the body is hardly in sight.
         lost: probability from which on it counts as lost.
     """
 
@@ -169,6 +171,7 @@ class FlagRule(Checked):
     unseen: tuple[Signed, Signed, Signed] = BLIND
     again: Signed = AGAIN
     gone: Share = 0.8
+    hardly: Share = 0.9
     lost: Share = 0.5
 
     @property
@@ -183,10 +186,11 @@ class FlagRule(Checked):
         """
         return _logistic(self.limb[0] + ramps(signs, lately, deviation) @ np.array(self.limb[1:]))
 
-    def whole(self, limbs: Float) -> float:
-        """Probability that any joint is lost, from that of each limb (G,)."""
+    def whole(self, limbs: Float, signs: Float | None = None) -> float:
+        """Probability that any joint is lost, from that of each limb that is judged, and from the signs (G, SIGNS)."""
         odds = np.sort(np.concatenate([[-20.0], log_odds(limbs)]))[-2:]
-        return float(_logistic(self.body[0] + odds @ np.array(self.body[1:])))
+        hardly = signs is not None and signs[:, _UNSEEN].mean() >= self.hardly
+        return max(float(_logistic(self.body[0] + odds @ np.array(self.body[1:]))), self.gone if hardly else 0.0)
 
     def blind(self, seconds: float, deviation: float, gone: bool) -> float:
         """Probability that a body is lost that no image has shown for some time, and of whose farthest part a standard

@@ -183,7 +183,7 @@ def _loss(state: State, model: Model, fit: Fit) -> tuple[Float, float]:
     deviation = segment_deviations(fit.posed, state.covariance)
     limbs = model.flag.limbs(signs, lately, np.array([deviation[group].max() for group in groups]))
     said = judged(groups, fit.agreement, limbs >= model.flag.lost)
-    return np.where(said, limbs, np.nan)[groups.argmax(axis=0)], model.flag.whole(limbs[said])
+    return np.where(said, limbs, np.nan)[groups.argmax(axis=0)], model.flag.whole(limbs[said], signs)
 
 
 def _with_priors(model: Model, posed: Posed, known: Float) -> Float:
