@@ -45,8 +45,11 @@ class EvidenceView:
 
     def by_part(self, posed: Posed) -> Float:
         """(2, S) nats for each part of a body, and the number of its pixels."""
-        share = min(1.0, (depth_of(self.camera, posed.pose) / self.nearest) ** 2) if self.nearest > 0.0 else 1.0
-        return share * np.array(covered_evidence(self.maps, render(posed, self.camera).part))
+        return self.share(posed.pose) * np.array(covered_evidence(self.maps, render(posed, self.camera).part))
+
+    def share(self, pose: Pose) -> float:
+        """What its pixels count for a body at a pose, 0 to 1."""
+        return min(1.0, (depth_of(self.camera, pose) / self.nearest) ** 2) if self.nearest > 0.0 else 1.0
 
 
 def depth_of(camera: Camera, pose: Pose) -> float:

@@ -28,6 +28,7 @@ from twistcap.search.evidence import Evidence
 from twistcap.search.flag import hidden, lacking
 from twistcap.search.placing import points_evidence
 from twistcap.search.recollection import Check, Recollection
+from twistcap.search.redrawn import RedrawnLimb
 
 _POINTS = 40  # of a limb's surface, by which its places are judged roughly
 _ROOT = 6  # coordinates of the root, which come first
@@ -175,23 +176,24 @@ def placed(
     the roughly best few places gains `worth` nats.
     """
     body, roughly = evidence.body, _Roughly.of(evidence, pose, limb)
+    redrawn = RedrawnLimb.at(evidence, pose.within(body.limits), limb)
     steps = np.array([*_shown(angles, limb, body, pose), *anywhere(rng, limb, pose, body, rule.many)])
     steps = _climbed(rule, rng, roughly, limb, steps)
-    few = (evidence.of(pose.retract(step).within(body.limits)) for step in steps[: rule.few])
+    few = (redrawn.of(pose.retract(step).within(body.limits)) for step in steps[: rule.few])
     if worth > 0.0 and max(few) < most + worth:
         return pose, most
-    return _settled(rule, evidence, limb, rng, pose, most, steps)
+    return _settled(rule, redrawn, limb, rng, pose, most, steps)
 
 
 def _settled(
-    rule: LimbRule, evidence: Evidence, limb: Bool, rng: np.random.Generator, pose: Pose, most: float, steps: Float
+    rule: LimbRule, redrawn: RedrawnLimb, limb: Bool, rng: np.random.Generator, pose: Pose, most: float, steps: Float
 ) -> tuple[Pose, float]:
     """The best of a pose, of steps from it, and of draws about the best ones; and its evidence."""
-    limits, best = evidence.body.limits, [(most, pose)]
+    limits, best = redrawn.body.limits, [(most, pose)]
     rounds = [steps]
     for sd in (*rule.near, None):
         poses = [start.retract(step) for (_, start), each in zip(best, rounds, strict=True) for step in each]
-        tried = [(evidence.of(p), p) for p in (p.within(limits) for p in poses)]
+        tried = [(redrawn.of(p), p) for p in (p.within(limits) for p in poses)]
         best = sorted([*best, *tried], key=lambda item: -item[0])[: rule.kept]
         if sd is not None:
             rounds = [about(rng, limb, sd, rule.draws // len(best)) for _ in best]

@@ -1,0 +1,111 @@
+"""Evidence of poses that differ in one limb: only what the limb moves is drawn again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from twistcap.arrays import Bool, Float, Float32, Int
+from twistcap.body import Body, Pose, Posed
+from twistcap.body.limbs import limb_parts
+from twistcap.camera.projection import projected
+from twistcap.render.raster import rasterise
+from twistcap.search.evidence import Evidence, EvidenceView
+
+
+@dataclass(frozen=True)
+class _Still:
+    """What one view shows of a body without what moves.
+
+    Attributes:
+        part, nearness: (h, w) visible segment, −1 for none, and its nearness, 0 there.
+        nats: its evidence.
+        share: what the view counts, see `EvidenceView.share`.
+    """
+
+    view: EvidenceView
+    part: Int
+    nearness: Float32
+    nats: float
+    share: float
+
+
+@dataclass(frozen=True)
+class RedrawnLimb:
+    """A body at a pose, of which one limb moves. `of` equals `Evidence.of` for all poses that differ in that alone.
+
+    Attributes:
+        faces, face_part: (F, 3) triangles that move, of the vertices that do, and the segment (F,) of each.
+        skin: segments (V, K), weights (V, K) and places at rest (V, 3) of those vertices.
+        still: all else, by view.
+    """
+
+    body: Body
+    faces: Int
+    face_part: Int
+    skin: tuple[Int, Float, Float]
+    still: Sequence[_Still]
+
+    @staticmethod
+    def at(evidence: Evidence, pose: Pose, limb: Bool) -> RedrawnLimb:
+        """For a limb's coordinates (6 + J,), with the rest of the body at a pose."""
+        body, posed = evidence.body, Posed(evidence.body, pose)
+        moved: Bool = np.any((body.skin_weights > 0.0) & limb_parts(body, limb)[body.skin_segments], axis=1)
+        moving: Bool = np.any(moved[body.faces], axis=1)
+        corners, faces = np.unique(body.faces[moving], return_inverse=True)
+        still = [_still(view, posed, ~moving) for view in evidence.views]
+        skin = body.skin_segments[corners], body.skin_weights[corners], body.vertices[corners]
+        return RedrawnLimb(body, faces.reshape(-1, 3).astype(np.int32), body.face_part[moving], skin, still)
+
+    def of(self, pose: Pose) -> float:
+        """Nats for a body at a pose, see `Evidence.of`."""
+        points, nats = Posed(self.body, pose).points(*self.skin), 0.0
+        for still in self.still:
+            camera = still.view.camera
+            drawn = rasterise(*projected(camera, points), self.faces, (0, 0), camera.size)
+            more = evidence_before(still.view.maps, still.part, still.nearness, *drawn, self.face_part)
+            nats += max(still.share * (still.nats + more), 0.0)
+        return nats
+
+
+def _still(view: EvidenceView, posed: Posed, faces: Bool) -> _Still:
+    """Some faces (F,) of a body in a view."""
+    body, camera = posed.body, view.camera
+    face, nearness = rasterise(*projected(camera, posed.vertices), body.faces[faces], (0, 0), camera.size)
+    part = np.append(body.face_part[faces], np.int32(-1))[face]  # −1 picks the last one
+    rows, columns = np.nonzero(part >= 0)
+    nats = float(view.maps[part[rows, columns], rows, columns].sum())
+    return _Still(view, part, nearness, nats, view.share(posed.pose))
+
+
+@njit(cache=True, nogil=True)
+def evidence_before(
+    maps: Float32, part: Int, nearness: Float32, face: Int, face_nearness: Float32, face_part: Int
+) -> float:
+    """Evidence (S, h, w) that triangles add to parts (h, w) of some nearness: they hide what is less near.
+
+    Args:
+        face, face_nearness: (h, w) visible triangle, −1 for none, and its nearness.
+        face_part: (F,) segment of each triangle.
+    """
+    total = 0.0
+    for r in range(face.shape[0]):
+        for c in range(face.shape[1]):
+            if face[r, c] >= 0 and face_nearness[r, c] > nearness[r, c]:
+                total += maps[face_part[face[r, c]], r, c]
+                if part[r, c] >= 0:
+                    total -= maps[part[r, c], r, c]
+    return float(total)
+
+
+def evidence_before_reference(
+    maps: Float32, part: Int, nearness: Float32, face: Int, face_nearness: Float32, face_part: Int
+) -> float:
+    """Readable twin of `evidence_before`."""
+    before = (face >= 0) & (face_nearness > nearness)
+    added: Float32 = np.take_along_axis(maps, face_part[face][None], axis=0)[0]
+    hidden: Float32 = np.take_along_axis(maps, np.maximum(part, 0)[None], axis=0)[0]
+    return float(added[before].sum() - hidden[before & (part >= 0)].sum())
