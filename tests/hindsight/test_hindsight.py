@@ -84,23 +84,36 @@ def test_a_limb_of_a_second_track_brings_its_own_flag_and_no_other() -> None:
 
 
 @pytest.mark.parametrize(
-    ("gains", "believed"),
+    ("gains", "end", "believed"),
     [
-        ((900.0, 800.0), 2), ((900.0, -5.0), 1), ((900.0, -200.0), 1), ((900.0, -300.0), 0), ((3.0, 2.0), 0), ((), 0),
+        ((900.0, 800.0), "beside", 2), ((900.0, -5.0), "beside", 1), ((900.0, -200.0), "beside", 1),
+        ((900.0, -300.0), "beside", 0), ((12.0, 11.0), "beside", 0), ((), "beside", 0), ((12.0, 11.0), "met", 2),
+        ((3.0, 2.0), "met", 0), ((9000.0, 800.0), "led back", 2), ((60.0, 50.0), "led back", 0),
     ],
 )  # fmt: skip
 def test_how_far_a_second_track_is_believed(
-    gains: tuple[float, ...], believed: int, monkeypatch: pytest.MonkeyPatch
+    gains: tuple[float, ...], end: str, believed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Up to where it gains no more; not if it gains little, nor if it loses much of that again."""
     _, model, passed, before, state = walk()
     way = [Again(p.estimate, gain) for p, gain in zip(reversed(passed[:-1]), gains, strict=False)]
-    monkeypatch.setattr(back, "_tracked_again", lambda *_: (way, []))
+    monkeypatch.setattr(back, "_tracked_again", lambda *_: ((way, []), end))
     _, better = looked_back(LookBack(), model, before, with_found(state, ARM), passed[:-1])
     assert [e.index for e in better] == list(range(20 - believed, 20))
 
 
-def test_a_second_track_that_jumps_back_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_limb_to_which_a_second_track_jumps_back_must_gain_without_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rest may be that of somebody else, with better evidence."""
+    _, model, passed, before, state = walk()
+    body, alone = ([Again(passed[-2].estimate, gain)] for gain in (9e4, -9e3))
+    for end, believed in (("met", True), ("beside", True), ("led back", False)):
+        monkeypatch.setattr(back, "_tracked_again", lambda *_, end=end: ((body, alone), end))
+        assert bool(looked_back(LookBack(), model, before, with_found(state, ARM), passed[:-1])[1]) == believed
+
+
+def test_a_second_track_that_jumps_back_is_believed_only_if_the_pictures_say_plenty_for_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The arm was found wrongly; the track that runs backward finds the true one by a search of its own."""
     scene, model, passed, before, state = walk()
     wrong, last = [*passed[:-1]], passed[-1].estimate.pose
@@ -115,9 +128,11 @@ def test_a_second_track_that_jumps_back_is_not_believed(monkeypatch: pytest.Monk
         for one, estimate, put in original(*arguments):
             yield one, estimate, put | (one.frame.index == 12)
 
-    assert looked_back(LookBack(), model, before, state, wrong)[1]
+    sure = LookBack(plenty=100.0)
+    assert looked_back(sure, model, before, state, wrong)[1]
     monkeypatch.setattr(back, "_backward", jumping)
-    assert not looked_back(LookBack(), model, before, state, wrong)[1]
+    assert not looked_back(sure, model, before, state, wrong)[1]
+    assert looked_back(LookBack(), model, before, state, wrong)[1]
 
 
 def test_where_nothing_was_found_the_tracker_is_as_it_is() -> None:

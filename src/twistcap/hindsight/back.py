@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -34,6 +34,7 @@ from twistcap.ranges import Checked, Count, Range, Share
 from twistcap.search.lost import LostBody
 from twistcap.track import Model, State, step
 
+_End = Literal["met", "beside", "led back"]  # by a search
 _JUST = 3  # frames in which a track that a search has put elsewhere settles there
 
 
@@ -45,8 +46,11 @@ class LookBack(Checked):
         frames: at most, of those that have passed.
         megabytes: of pictures at most, that are kept for it.
         met: m between two places of what was found, within which the two tracks are one.
-        gain, share: nats by which the pictures must favour the second track in all its frames together, and the least
-            fraction of what is usual for what was found in one frame.
+        gain: nats by which the pictures must favour the second track, in all its frames together, where it meets the
+            first one by itself. Then that one alone jumps.
+        share: the same where they do not meet, as a fraction of what is usual in one frame for what was found.
+        plenty: and where a search leads the second track back to the first one. Then both jump; limbs that were found
+            must gain it without the rest of the body, too. Else it may be that of somebody else.
         loss: fraction of what it gained that it may lose again farther back, but always as much as it must gain. One
             that loses more went away from the first one, where that was right: what it began from was found wrongly.
     """
@@ -56,6 +60,7 @@ class LookBack(Checked):
     met: float = 0.03
     gain: float = 20.0
     share: Share = 0.25
+    plenty: Annotated[float, Range(0.0, 100.0)] = 1.0
     loss: Share = 0.25
 
     def lost(self, way: Sequence[Again], needed: float) -> bool:
@@ -79,14 +84,14 @@ def looked_back(
     if not found.any():
         return state, []
     known, groups = lost_memory(state).known, lost_memory(state).groups
-    needed = max(rule.gain, rule.share * float(known.nats.sum(axis=0) @ groups[found].sum(axis=0)))
-    ways = [
-        (max(sums(way)), way) for way in _tracked_again(rule, model, state, passed, found, needed)
-        if way and not rule.lost(way, needed)
-    ]  # fmt: skip
-    most, best = max(ways, key=lambda way: way[0], default=(0.0, []))
-    if most < needed:
+    usual = float(known.nats.sum(axis=0) @ groups[found].sum(axis=0))
+    tolerated = max(rule.gain, rule.share * usual)
+    ways, end = _tracked_again(rule, model, state, passed, found, tolerated)
+    nats = [-np.inf if rule.lost(way, tolerated) else max(sums(way)) for way in ways if way]
+    share, enough = {"met": (0.0, max), "beside": (rule.share, max), "led back": (rule.plenty, min)}[end]
+    if enough(nats, default=-np.inf) < max(rule.gain, share * usual):
         return state, []
+    best = ways[int(np.argmax(nats))]
     better = [again.estimate for again in best[: int(np.argmax(sums(best))) + 1]]
     return corrected(state, better[::-1]), better[::-1]
 
@@ -100,12 +105,11 @@ def _put_elsewhere(model: Model, before: State, after: State) -> Bool:
 
 
 def _tracked_again(
-    rule: LookBack, model: Model, state: State, passed: Sequence[Passed], found: Bool, needed: float
-) -> tuple[list[Again], list[Again]]:
+    rule: LookBack, model: Model, state: State, passed: Sequence[Passed], found: Bool, tolerated: float
+) -> tuple[tuple[list[Again], list[Again]], _End]:
     """The frames before, the latest first, in two ways: with the whole body of the track that runs backward, and with
     nothing of it but the limbs that were found, if only limbs were. They end where the tracks meet, or where both lose
-    what they had gained. There is none where only a search leads back to the first track: both jump there, and nothing
-    says which of them is right.
+    what they had gained, but for what is `tolerated`.
     """
     memory, ways = lost_memory(state), (list[Again](), list[Again]())
     own, moved = np.asarray(memory.groups[found].any(axis=0), np.bool_), _joints(model, found)
@@ -114,16 +118,16 @@ def _tracked_again(
         since = 0 if (put[-1] if found[-1] else (put & found).any()) else since + 1
         first, second = one.estimate.pose, estimate.pose
         if apart(model, first, second)[own].max() < rule.met:
-            return ways if since >= _JUST else ([], [])
+            return ways, "met" if since >= _JUST else "led back"
         estimate = replace(estimate, time=one.frame.time)
         each = [estimate] if found[-1] else [estimate, with_limbs(model, one.estimate, estimate, moved, own)]
         evidence = evidence_in(model, state, one)
         usual = evidence.of(first)
         for way, again in zip(ways, each, strict=False):
             way.append(Again(again, evidence.of(again.pose) - usual))
-        if all(rule.lost(way, needed) for way in ways if way):
+        if all(rule.lost(way, tolerated) for way in ways if way):
             break
-    return ways
+    return ways, "beside"
 
 
 def _joints(model: Model, found: Bool) -> Bool:
