@@ -50,7 +50,7 @@ class LookBack(Checked):
             first one by itself. Then that one alone jumps.
         share: the same where they do not meet, as a fraction of what is usual in one frame for what was found.
         plenty: and where a search leads the second track back to the first one. Then both jump; limbs that were found
-            must gain it without the rest of the body, too. Else it may be that of somebody else.
+            must gain it all the way without the rest of the body, too. Else it may be that of somebody else.
         loss: fraction of what it gained that it may lose again farther back, but always as much as it must gain. One
             that loses more went away from the first one, where that was right: what it began from was found wrongly.
     """
@@ -88,8 +88,9 @@ def looked_back(
     tolerated = max(rule.gain, rule.share * usual)
     ways, end = _tracked_again(rule, model, state, passed, found, tolerated)
     nats = [-np.inf if rule.lost(way, tolerated) else max(sums(way)) for way in ways if way]
-    share, enough = {"met": (0.0, max), "beside": (rule.share, max), "led back": (rule.plenty, min)}[end]
-    if enough(nats, default=-np.inf) < max(rule.gain, share * usual):
+    needed = max(rule.gain, {"met": 0.0, "beside": rule.share, "led back": rule.plenty}[end] * usual)
+    alone = next((way for way in reversed(ways) if way), [])
+    if max(nats, default=-np.inf) < needed or (end == "led back" and sums(alone)[-1] < needed):
         return state, []
     best = ways[int(np.argmax(nats))]
     better = [again.estimate for again in best[: int(np.argmax(sums(best))) + 1]]
