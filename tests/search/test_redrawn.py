@@ -23,10 +23,8 @@ def test_the_evidence_of_any_pose_of_the_limb_is_that_of_the_whole_body(nearest:
     shape = len(body.segment_names), cameras[0].size[1], cameras[0].size[0]
     maps = [rng.normal(0.4, 1.0, shape).astype(np.float32) for _ in cameras]
     views = [EvidenceView(i, c, m, nearest) for i, (c, m) in enumerate(zip(cameras, maps, strict=True))]
-    evidence, pose = (
-        Evidence(body, views),
-        Pose(se3.exp(np.array([0.0, 0, 0.1, 0.0, 0.0, 0.4])), np.zeros(len(body.twists))),
-    )
+    evidence = Evidence(body, views)
+    pose = Pose(se3.exp(np.array([0.0, 0, 0.1, 0.0, 0.0, 0.4])), np.zeros(len(body.twists)))
     for limb in limbs(body):
         redrawn = RedrawnLimb.at(evidence, pose, limb)
         poses = [pose.retract(step) for step in anywhere(rng, limb, pose, body, 6)]

@@ -34,7 +34,7 @@ from twistcap.ranges import Checked, Count, Range, Share
 from twistcap.search.lost import LostBody
 from twistcap.track import Model, State, step
 
-_End = Literal["met", "beside", "led back"]  # by a search
+_End = Literal["met", "beside", "led back"]  # of a second track; a search led it back to the first one
 _JUST = 3  # frames in which a track that a search has put elsewhere settles there
 
 

@@ -21,6 +21,7 @@ from twistcap.search.recollection import Check, Recollection
 
 _FEWEST = 8.0  # contour points or covered pixels below which nothing is said of a limb
 SIGNS = 11
+LACKING, IN_VIEW, DISAGREEING, LATE, SILENT, UNSEEN = 0, 1, 3, 4, 5, 6  # some of them, see `image_signs`
 USUAL = (0.05, 0.1, 0.15)
 """What `contour_signs` say of a limb before a recording has taught what is usual."""
 MOST_USUAL = (0.2, 0.35, 0.4)
@@ -29,7 +30,6 @@ MOST_USUAL = (0.2, 0.35, 0.4)
 _LOST = 0.15  # m off, a joint is lost
 _CONTRAST = 0.4  # of a limb's contour points that tell it from what is behind it; with fewer nothing says it is right
 _AT_LIMIT = 0.02  # rad from a limit
-_UNSEEN = 6  # sign: how much of a limb is not seen
 _MEANS = [0, 1, 2, 3, 5, 6]  # signs whose running means count as well; that of `late` is one
 _OF = {
     "clear": (-0.1, 0.1, 0.25, 0.4, 0.6, 1.0), "in_view": (0.0, 0.3, 0.6, 1.0, 1.5), "bare": (0.0, 0.1, 0.3, 1.0),
@@ -131,7 +131,7 @@ def lacking(groups: Bool, known: Recollection, check: Check) -> tuple[Float, Flo
 
 def shortfall(signs: Float) -> Float:
     """(G,) evidence that lacks, or that a hidden limb does not give, over what is usual; of `image_signs`."""
-    clear, unseen = signs[:, 0], signs[:, 6]
+    clear, unseen = signs[:, LACKING], signs[:, UNSEEN]
     return unseen + (1.0 - unseen) * clear
 
 
@@ -145,7 +145,7 @@ def hidden(groups: Bool, known: Recollection, check: Check) -> Float:
 def support_signs(groups: Bool, support: Float) -> Float:
     """(G, SIGNS) signs where only the running support (S,) is known."""
     signs = np.zeros((len(groups), SIGNS))
-    signs[:, 4] = [(1.0 - support[group]).max() - USUAL[1] for group in groups]
+    signs[:, LATE] = [(1.0 - support[group]).max() - USUAL[1] for group in groups]
     return signs
 
 
@@ -189,7 +189,7 @@ class FlagRule(Checked):
     def whole(self, limbs: Float, signs: Float | None = None) -> float:
         """Probability that any joint is lost, from that of each limb that is judged, and from the signs (G, SIGNS)."""
         odds = np.sort(np.concatenate([[-20.0], log_odds(limbs)]))[-2:]
-        hardly = signs is not None and signs[:, _UNSEEN].mean() >= self.hardly
+        hardly = signs is not None and signs[:, UNSEEN].mean() >= self.hardly
         return max(float(_logistic(self.body[0] + odds @ np.array(self.body[1:]))), self.gone if hardly else 0.0)
 
     def blind(self, seconds: float, deviation: float, gone: bool) -> float:
@@ -211,7 +211,7 @@ def segment_deviations(posed: Posed, covariance: Float) -> Float:
 
 def ramps(signs: Float, lately: Float, deviation: Float) -> Float:
     """(G, R) features in [0, 1]: each value rises from 0 to 1 between two neighbours of its knots."""
-    clear, late = signs[:, 0], signs[:, 4]
+    clear, late = signs[:, LACKING], signs[:, LATE]
     others = np.full((2, len(signs)), [[clear.max()], [late.mean()]])
     values = np.column_stack([signs, lately[:, _MEANS], beyond(deviation), *others])
     return np.clip((values[:, _WHICH] - _FROM) * _SLOPE, 0.0, 1.0)

@@ -21,20 +21,18 @@ from twistcap.body.limbs import limb_parts, limbs
 from twistcap.body.model import partners
 from twistcap.camera.projection import projected
 from twistcap.ranges import Checked, Count, Share
-from twistcap.render.raster import rasterise
 from twistcap.search.contradiction import Judged
 from twistcap.search.draws import about, anywhere
 from twistcap.search.evidence import Evidence
-from twistcap.search.flag import hidden, lacking
+from twistcap.search.flag import DISAGREEING, IN_VIEW, LACKING, LATE, SILENT, UNSEEN, hidden, lacking
 from twistcap.search.placing import points_evidence
 from twistcap.search.recollection import Check, Recollection
-from twistcap.search.redrawn import RedrawnLimb
+from twistcap.search.redrawn import RedrawnLimb, drawn
 
 _POINTS = 40  # of a limb's surface, by which its places are judged roughly
 _ROOT = 6  # coordinates of the root, which come first
 _LITTLE = 100.0  # nats; of a limb whose usual evidence is less, little is known
 _WORST = 0.25  # nats that one pixel may say against a place in blurred pictures
-_LACKING, _IN_VIEW, _DISAGREEING, _LATE, _SILENT, _UNSEEN = 0, 1, 3, 4, 5, 6  # signs of a limb, see `flag.image_signs`
 
 
 @dataclass(frozen=True)
@@ -94,12 +92,12 @@ class LimbRule(Checked):
 
     def lost(self, signs: Float, lately: Float) -> list[int]:
         """Limbs that seem to be lost, by their signs (G, SIGNS) now and lately; the last group is no limb."""
-        doubtful = (signs[:-1, _LACKING] > self.lacking) | (signs[:-1, _LATE] > self.late)
-        return np.flatnonzero(doubtful | (lately[:-1, _IN_VIEW] > self.in_view)).tolist()
+        doubtful = (signs[:-1, LACKING] > self.lacking) | (signs[:-1, LATE] > self.late)
+        return np.flatnonzero(doubtful | (lately[:-1, IN_VIEW] > self.in_view)).tolist()
 
     def slipping(self, signs: Float) -> list[int]:
         """Limbs whose contour suddenly no longer agrees with the images, by their signs (G, SIGNS) now."""
-        return np.flatnonzero(signs[:-1, _DISAGREEING] + signs[:-1, _SILENT] > self.slipped).tolist()
+        return np.flatnonzero(signs[:-1, DISAGREEING] + signs[:-1, SILENT] > self.slipped).tolist()
 
     def due(self, known: Recollection, check: Check, groups: Bool, frames: int) -> list[int]:
         """Limbs that are looked at though nothing speaks against them: all where the body's colours lie bare, if it is
@@ -113,7 +111,7 @@ class LimbRule(Checked):
 
     def hidden(self, lately: Float) -> list[int]:
         """Limbs of which little has been seen of late."""
-        return np.flatnonzero(lately[:-1, _UNSEEN] > self.unseen).tolist()
+        return np.flatnonzero(lately[:-1, UNSEEN] > self.unseen).tolist()
 
 
 def taught(known: Recollection, body: Body, groups: Bool) -> Bool:
@@ -287,12 +285,10 @@ class _Roughly:
 def _freed(evidence: Evidence, posed: Posed, own: Bool) -> tuple[list[tuple[Float, Float32]], list[float]]:
     """Each view without a limb's parts (S,), see `_Roughly`, and its pixels per m at the body."""
     body, views, px_per_m = evidence.body, list[tuple[Float, Float32]](), list[float]()
-    others = body.faces[~own[body.face_part]]
-    labels = np.append(body.face_part[~own[body.face_part]], np.int32(-1))  # −1 picks the last one
     for view in evidence.views:
         pixels, nearness = projected(view.camera, posed.vertices)
         px_per_m.append(max(view.camera.px_per_m(nearness), 1.0))
-        part = labels[rasterise(pixels, nearness, others, (0, 0), view.camera.size)[0]]
+        part, _ = drawn(body, ~own[body.face_part], pixels, nearness, view.camera.size)
         here = np.take_along_axis(view.maps, np.maximum(part, 0)[None], axis=0)[0]
         views.append((view.camera.P, np.where(part >= 0, np.maximum(view.maps[own] - here, 0.0), view.maps[own])))
     return views, px_per_m

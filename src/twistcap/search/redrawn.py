@@ -65,20 +65,24 @@ class RedrawnLimb:
         points, nats = Posed(self.body, pose).points(*self.skin), 0.0
         for still in self.still:
             camera = still.view.camera
-            drawn = rasterise(*projected(camera, points), self.faces, (0, 0), camera.size)
-            more = evidence_before(still.view.maps, still.part, still.nearness, *drawn, self.face_part)
+            limb = rasterise(*projected(camera, points), self.faces, (0, 0), camera.size)
+            more = evidence_before(still.view.maps, still.part, still.nearness, *limb, self.face_part)
             nats += max(still.share * (still.nats + more), 0.0)
         return nats
 
 
 def _still(view: EvidenceView, posed: Posed, faces: Bool) -> _Still:
     """Some faces (F,) of a body in a view."""
-    body, camera = posed.body, view.camera
-    face, nearness = rasterise(*projected(camera, posed.vertices), body.faces[faces], (0, 0), camera.size)
-    part = np.append(body.face_part[faces], np.int32(-1))[face]  # −1 picks the last one
+    part, nearness = drawn(posed.body, faces, *projected(view.camera, posed.vertices), view.camera.size)
     rows, columns = np.nonzero(part >= 0)
     nats = float(view.maps[part[rows, columns], rows, columns].sum())
     return _Still(view, part, nearness, nats, view.share(posed.pose))
+
+
+def drawn(body: Body, faces: Bool, pixels: Float, nearness: Float, size: tuple[int, int]) -> tuple[Int, Float32]:
+    """(h, w) visible segment of some faces (F,), −1 for none, and its nearness, see `render.raster.rasterise`."""
+    face, image = rasterise(pixels, nearness, body.faces[faces], (0, 0), size)
+    return np.append(body.face_part[faces], np.int32(-1))[face], image  # −1 picks the last one
 
 
 @njit(cache=True, nogil=True)
