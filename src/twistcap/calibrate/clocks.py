@@ -13,7 +13,6 @@ from itertools import combinations, pairwise
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import correlate
 
 from twistcap import se3
 from twistcap.arrays import Bool, Float
@@ -92,6 +91,8 @@ def _evidence(a: Motion, b: Motion) -> Float:
     With the likeness s = 2 Σ a·b / Σ (|a|² + |b|²) of n independent numbers this is −½ n log(1 − s²), as for a
     correlation; nothing is subtracted, since at the right offset also the means are equal.
     """
+    from scipy.signal import correlate  # half a second, which only those wait who need it
+
     mask_a, mask_b = a.known.astype(float), b.known.astype(float)
     both = correlate(mask_a, mask_b, method="fft").round()
     alike = sum(correlate(x, y, method="fft") for x, y in zip(a.values.T, b.values.T, strict=True))

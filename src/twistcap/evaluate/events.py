@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import Literal, cast
 
 import numpy as np
-from scipy.signal import find_peaks
 
 from twistcap.arrays import Float, runs
 from twistcap.doors.text import brief, finite_number
@@ -104,6 +103,8 @@ def _speed(values: Float, result: Result) -> Float:
 
 def _within(event: Event, times: Float, signal: Float, span: float) -> Float:
     """Times in one run of known frames; `span` is the range of the signal in all."""
+    from scipy.signal import find_peaks  # half a second, which only those wait who need it
+
     if event.condition in ("maximum", "minimum"):
         upward = signal if event.condition == "maximum" else -signal
         peaks, _ = find_peaks(upward, prominence=_PEAK * span) if span else (np.zeros(0, np.int64), {})

@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from scipy.signal import welch
 
 from twistcap.adjust.sequence import accelerations
 from twistcap.arrays import Bool, Float, even_clock, runs
@@ -98,6 +97,8 @@ def noise_cutoff(values: Float, sigmas: Float, rate: float, known: Bool) -> floa
     noise, so that both are equal where it is twice the noise. The answer is within `BOUNDS`. Raises InputError where
     the sigma of a known frame is not finite.
     """
+    from scipy.signal import welch  # half a second, which only those wait who need it
+
     least, most = BOUNDS[0], max(min(BOUNDS[1], _MOST * rate), BOUNDS[0])
     if not np.isfinite(sigmas[known]).all():
         raise InputError("filter: a covariance of the result is not finite; give the cutoff yourself.")

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import find_peaks
 
 from twistcap import se3
 from twistcap.arrays import UNEVEN, Bool, Float, even_clock
@@ -194,6 +193,8 @@ def _heading(poses: Sequence[Pose], rate: float, known: Bool) -> Float:
 def _events(times: Float, ahead: Float, direction: int) -> Float:
     """Times at which a foot that is `ahead` (N,) m of the pelvis comes to the floor (direction 1, after each farthest
     place in front) or leaves it (−1, before each farthest place behind)."""
+    from scipy.signal import find_peaks  # half a second, which only those wait who need it
+
     speed = np.gradient(ahead, times)
     backward = speed[speed < 0]
     if not len(backward):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from twistcap.arrays import Bool, Float, runs
 from twistcap.errors import InputError
@@ -21,6 +20,8 @@ def butterworth(values: Float, rate: float, cutoff: float, known: Bool | None = 
     filtered by themselves; frames that are not known are NaN, and so are runs of fewer than 12 frames. Raises
     InputError for a cutoff that is not between 0 and half the rate.
     """
+    from scipy.signal import butter, sosfiltfilt  # half a second, which only those wait who need it
+
     if not 0 < cutoff < rate / 2:
         most = f"above 0 and below {rate / 2:.3g} Hz"
         raise InputError(f"the cutoff is {cutoff:g} Hz; at {rate:g} frames per second it must be {most}.")

@@ -9,7 +9,6 @@ from itertools import pairwise
 import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import correlate
 
 from twistcap.arrays import AnyArray, Float
 
@@ -134,6 +133,8 @@ def _placed(
 def _correlations(a: Float, b: Float, overlap: int) -> Curve:
     """Pearson's correlation of b shifted by k samples with a, over what they have in common, for all k that leave
     `overlap` samples. It is lowered for short overlaps: by chance these correlate more."""
+    from scipy.signal import correlate  # half a second, which only those wait who need it
+
     overlap = min(overlap, len(a), len(b))
     one = correlate(np.ones(len(a)), np.ones(len(b)), method="fft").round()
     sums = [correlate(x, y, method="fft") for x, y in (

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from twistcap.arrays import Bool, Float
@@ -96,6 +95,8 @@ def _off(shown: Float, seen: Float, shift: float) -> Float:
 
     NaN where that is not known, and near both ends, so that the same numbers count at all offsets.
     """
+    from scipy.interpolate import CubicSpline  # a fifth of a second, which only those wait who need it
+
     margin, numbers, known = int(_WIDEST), np.arange(len(seen)), np.isfinite(shown)
     at = np.clip(numbers + shift, 0, len(seen) - 1)
     there = CubicSpline(numbers, _filled(shown, known))(at)  # a chord would smooth as well
