@@ -31,8 +31,9 @@ def test_the_lists_of_names_agree() -> None:
         _ = twistcap.nonsense
 
 
-def test_importing_it_loads_next_to_nothing() -> None:
-    code = "import sys, twistcap; print([m for m in ('numpy', 'numba', 'cv2') if m in sys.modules])"
+@pytest.mark.parametrize(("module", "heavy"), [("twistcap", "numpy"), ("twistcap.cli", "scipy")])
+def test_importing_it_loads_next_to_nothing(module: str, heavy: str) -> None:
+    code = f"import sys, {module}; print([m for m in ('{heavy}', 'numba', 'cv2') if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
 
 
