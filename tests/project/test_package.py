@@ -32,8 +32,10 @@ def test_the_lists_of_names_agree() -> None:
 
 
 def test_importing_it_loads_next_to_nothing() -> None:
-    code = "import sys, twistcap; print([m for m in ('numpy', 'numba', 'cv2') if m in sys.modules])"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
+    code = "import sys, {}; print([m for m in ('numpy', 'numba', 'cv2') if m in sys.modules])"
+    for name, loaded in (("twistcap", "[]\n"), ("twistcap.cli", "['numpy']\n")):
+        run = [sys.executable, "-c", code.format(name)]
+        assert subprocess.run(run, capture_output=True, text=True).stdout == loaded
 
 
 def test_a_first_run_says_that_it_compiles(tmp_path: Path) -> None:

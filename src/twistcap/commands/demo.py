@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from twistcap.commands import terminal
-from twistcap.commands.follow import Timing, follow, held
 from twistcap.commands.terminal import words
 from twistcap.errors import InputError
+
+if TYPE_CHECKING:
+    from twistcap.commands.follow import Timing
 
 
 def demo(
@@ -48,6 +50,7 @@ def run_demo(
 ) -> dict[str, Any]:
     """The demo's files in a folder; what ``--json`` prints."""
     from twistcap.build import build
+    from twistcap.commands.follow import follow, held
     from twistcap.io.lock import WriteLock
     from twistcap.io.result import ResultWriter, read_result
     from twistcap.io.session import tracker_settings

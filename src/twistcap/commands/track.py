@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 
 from twistcap.commands import terminal
-from twistcap.commands.follow import Timing, follow, held, in_use, resumed
 from twistcap.commands.terminal import words
 from twistcap.doors.text import toml_value
 from twistcap.errors import InputError
+
+if TYPE_CHECKING:
+    from twistcap.commands.follow import Timing
 
 
 def track(
@@ -115,6 +117,7 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
 def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Timing, Any]:
     """The views, how long it took, and what was watched of the cameras."""
     from twistcap.commands.clocks import watched_by
+    from twistcap.commands.follow import held, in_use
     from twistcap.commands.start import show_start
     from twistcap.io.provenance import made_of
     from twistcap.io.recording import body_in_words, open_recording
@@ -144,6 +147,7 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
 def _resumed(session: Any, path: Path, done: Any, begin: Begin, lock: Any) -> tuple[Any, Timing, Any]:
     """Go on with the body of the file: a resumed track is one track."""
     from twistcap.commands.clocks import watched_by
+    from twistcap.commands.follow import Timing, resumed
     from twistcap.io.provenance import check_same, made_of
     from twistcap.io.recording import rig_of, views_of
     from twistcap.io.result import ResultWriter, read_result
@@ -208,6 +212,8 @@ def _passed(views: Any, estimates: Sequence[Any]) -> Iterator[Any]:
 
 
 def _kept(views: Any, tracker: Any, writer: Any, path: Path, passed: Iterable[Any] = ()) -> Timing:
+    from twistcap.commands.follow import follow
+
     try:
         return follow(views, len(views), tracker, writer, passed)
     except KeyboardInterrupt:
