@@ -54,7 +54,8 @@ def _as_distributed(values: Float, levels: Float) -> Float:
     """The values (N,) changed, in their order, to quantiles of `levels`."""
     rank = np.empty(len(values))
     rank[np.argsort(values, kind="stable")] = np.arange(len(values))
-    return np.quantile(levels, (rank + 0.5) / len(values))
+    place = (rank + 0.5) / len(values) * (levels.size - 1)  # as np.quantile, which takes half a second
+    return np.interp(place, np.arange(levels.size), np.sort(levels, axis=None))
 
 
 def _blob(rng: np.random.Generator, x: Float, y: Float) -> Bool:

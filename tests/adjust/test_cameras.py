@@ -135,7 +135,7 @@ def test_a_body_that_is_too_thick_and_lenses_that_are_wrong_do_not_shift_a_camer
 
 def test_somebody_who_stands_does_not_tell_that_a_right_camera_was_bumped() -> None:
     """The body does not fit, in all frames alike; and nobody stands out of a background that has always held them."""
-    scene = capture(StudioConfig(seed=3, views=4, frames=24, condition="mismatch"))
+    scene = capture(StudioConfig(seed=3, views=4, size=(256, 188), frames=24, condition="mismatch"))
     scene = replace(scene, true_poses=scene.true_poses[:1] * 24)
     frames = list(scene.frames())
     tracker = Tracker(build(scene.body, scene.rig))

@@ -38,12 +38,12 @@ from twistcap.io.cameras.units import scaled
 from twistcap.search.placing import PlacingRule
 from twistcap.studio import Capture, StudioConfig, capture
 
-QUICK = UnaidedRule(PlacingRule(turns=12, places=2, modes=16, draws=6), fitted=12, mended=(4, 2))
+QUICK = UnaidedRule(PlacingRule(turns=12, places=2, modes=8, draws=6), fitted=6, mended=(2, 1))
 
 
 @cache
 def _scene() -> tuple[Capture, list[Frame]]:
-    scene = capture(StudioConfig(seed=1, views=4, frames=40, fps=30.0, size=(240, 176)))
+    scene = capture(StudioConfig(seed=1, views=4, frames=40, fps=30.0, size=(192, 140)))
     return scene, list(scene.frames())
 
 

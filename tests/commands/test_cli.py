@@ -186,6 +186,7 @@ def test_person_underground(session: Path, tmp_path: Path, capsys: pytest.Captur
     assert "underground" in refusal(capsys, "track", session, "--out", tmp_path / "out")
 
 
+@pytest.mark.usefixtures("drawn")
 def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = document(capsys, "demo", "--out", tmp_path, "--frames", "6", "--views", "2")
     assert found["id"] == "demo" and found["ms_per_frame"] > 0 and found["rows"]

@@ -16,6 +16,7 @@ from twistcap.estimate import Estimate
 from twistcap.io.result import ResultWriter, read_result
 
 
+@pytest.mark.usefixtures("drawn")
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     walk, out = tmp_path / "walk", tmp_path / "out"
     assert run("studio", walk, "--size", "192x140", "--views", "2", "--frames", "6") == 0

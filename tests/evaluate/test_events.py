@@ -177,6 +177,7 @@ def test_the_command_writes_events_and_cycles_between_them(
     assert "two events 'a'" in refusal(capsys, "gait", path, *twice)
 
 
+@pytest.mark.usefixtures("drawn")
 def test_bands_hold_for_both_legs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A norm is of a leg from its own heel strike, so that the walk's own knee is within it on both sides. Cycles from
     one foot's strikes hold the other leg half a cycle off: no band may stand behind them."""

@@ -215,6 +215,7 @@ def test_what_has_no_gait_is_told(body: Body, poses: list[Pose]) -> None:
     assert still.strides == () and np.isnan(parameters(still)["both"]["speed"].mean)
 
 
+@pytest.mark.usefixtures("drawn")
 def test_command(body: Body, poses: list[Pose], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with ResultWriter(tmp_path / "r.h5", body, ring(), {}) as writer:
         for n, pose in enumerate(poses[:200]):
@@ -249,6 +250,7 @@ def test_no_stride_is_said_without_a_table(
     assert [len(lines) for lines in heads] == [1, 1] and heads[0][0].startswith("side,start,end,toe_off")
 
 
+@pytest.mark.usefixtures("drawn")
 def test_one_stride_has_no_deviation(
     body: Body, poses: list[Pose], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -131,7 +131,7 @@ def filmed(root: Path, camera: Camera, rng: np.random.Generator) -> None:
     to_board[:2, 2] = (0.5 - 40) * BOARD.square / 40
     root.mkdir(parents=True)
     middle = np.array([*BOARD.size, 0.0]) / 2
-    for k in range(10):
+    for k in range(6):
         R = se3.exp_rotation(0.5 * rng.normal(size=3))
         at = np.array([*rng.uniform(-0.12, 0.12, 2), rng.uniform(0.9, 1.4)]) - R @ middle
         H = camera.K @ np.column_stack([R[:, :2], at]) @ to_board
@@ -152,8 +152,8 @@ def running(folder: Path, *words: object) -> Generator[tuple[str, subprocess.Pop
             process.kill()
 
 
-BOARD = board_of("chessboard:8x5:60")
-BEGIN = ("calibrate", "rig", "--board", "chessboard:8x5:60", "--points", "points.json")
+BOARD = board_of("charuco:8x5:60:45:4X4_50")
+BEGIN = ("calibrate", "rig", "--board", "charuco:8x5:60:45:4X4_50", "--points", "points.json")
 
 
 def test_calibration_goes_on_with_the_clicks(tmp_path: Path) -> None:

@@ -70,12 +70,12 @@ def test_a_limb_of_the_first_pose_that_is_wrong_is_set_right() -> None:
     """In nearly all cases: among wrong places of a limb another one may agree as well."""
     scene, _ = walk()
     worst = list[float]()
-    for joint, degrees in product(("hip_flexion_r", "arm_flex_l", "neck"), (50.0, 60.0, 70.0)):
+    for joint, degrees in product(("hip_flexion_r", "arm_flex_l", "neck"), (50.0, 70.0)):
         q = scene.first_pose.q.copy()
         q[[name.startswith(joint) for name in scene.body.coordinate_names]] += np.deg2rad(degrees)
         errors = [error for error, _ in islice(tracked_walk(lambda frame: frame, Pose(scene.first_pose.root, q)), 2)]
         worst.append(max(errors))
-    assert np.count_nonzero(np.array(worst) < 0.05) >= 7
+    assert np.count_nonzero(np.array(worst) < 0.05) >= 5
 
 
 def test_a_limb_is_looked_for_unasked_where_it_is_better_elsewhere() -> None:

@@ -16,7 +16,7 @@ from twistcap.studio.scene import default_body, default_poses
 @cache
 def in_a_circle() -> Capture:
     """Someone who walks, and turns by 200 degrees in 40 frames, in four views."""
-    config = StudioConfig(seed=3, frames=40)
+    config = StudioConfig(seed=3, size=(256, 188), frames=40)
     body = default_body(config)
     turns = [se3.exp(np.array([0, 0, np.deg2rad(5.0) * k, 0, 0, 0])) for k in range(40)]
     walk = default_poses(config, body, 0.0)
