@@ -8,9 +8,11 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from reproduce.faults.figures import figure_of
+from reproduce.faults.staged import staged
 from support.faulty_walk import FAULT, tracked_walk, walk
 from twistcap import se3
-from twistcap.body import Pose
+from twistcap.body import Pose, Posed
 from twistcap.body.limbs import limbs
 from twistcap.build import build
 from twistcap.cues.view import despeckled
@@ -33,6 +35,25 @@ def test_a_pose_pays_for_having_turned_faster_than_people_do() -> None:
     costs = [rule._too_fast(about, Moment(0.0, here), seconds) for seconds in (0.1, 0.3, 0.6, 0.8)]
     assert costs[0] == rule.better and 0.0 < costs[2] < costs[1] and costs[3] == 0.0
     assert rule._too_fast(here, Moment(0.0, here), 0.0) == 0.0
+
+
+@pytest.mark.parametrize("camera", range(3))
+def test_somebody_alike_who_is_nearer_to_a_camera_is_not_taken_for_the_person(camera: int) -> None:
+    """He covers more pixels, and has more evidence; but the person was seen elsewhere a frame ago."""
+    scene, frames = walk()
+    *_, (_, tracker) = islice(tracked_walk(lambda frame: frame), 12)
+    here, time, none = scene.true_poses[11], frames[11].time, np.zeros((scene.body.dof, scene.body.dof))
+    towards = (scene.true_rig[camera].centre - here.root[:3, 3]) * [1.0, 1.0, 0.0]
+    towards /= np.linalg.norm(towards)
+    twin, astray = (Pose(se3.transform(np.eye(3), m * towards) @ here.root, here.q) for m in (0.9, -0.8))
+    figure = figure_of(Posed(scene.true_body, twin), scene.look)
+    frame = replace(staged(scene), company=lambda _: [figure]).frame(12)
+    state = tracker.state.with_past(replace(tracker.state.past, moments=(Moment(time, astray, seen=False),)))
+    problem = posed_problem(state, frame, tracker.model, Prediction(astray, "hold", none, none))
+    known = state.searches["lost body"].known
+    found = LostBody().found(known, problem, known.evidence(problem), -np.inf, Moment(time, here))
+    assert found is not None
+    assert np.linalg.norm((found.root - scene.true_poses[12].root)[:3, 3]) < 0.02
 
 
 def test_places_count_by_the_pixels_that_a_body_covers_there() -> None:

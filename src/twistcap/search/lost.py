@@ -341,20 +341,21 @@ class LostBody(Checked):
         def standing(h: Hypothesis) -> float:
             return h.nats - usual * self._too_fast(h.pose, last, problem.frame.time)
 
-        worth = [
-            h for h in self._modes(known, problem, placing, surely or last)
-            if self._ratio(known, evidence, h, usually) >= self.worth
-        ]  # fmt: skip
+        def ratio(h: Hypothesis) -> float:
+            return self._ratio(known, evidence, h, usually)
+
+        worth = [h for h in self._modes(known, problem, placing, surely or last) if ratio(h) >= self.worth]
         near = [placing.hypothesis(pose) for pose in (problem.start, last.pose)]
         fitted = sorted((self._fitted(problem, evidence, h) for h in [*worth, *near]), key=standing, reverse=True)
-        for h in fitted[: self.limbed]:
+        for h in [*fitted[: self.limbed], *placing.apart(fitted)[1:2]]:
             fitted.append(self._fitted(problem, evidence, self._with_limbs_placed(known, evidence, h)))
         best = max(fitted, key=standing)
+        clear = [h for h in fitted if ratio(h) >= max(self.accepted, ratio(best) - self.better)]
+        best = max(placing.nearer(clear, best, (surely or last).pose) or [best], key=standing)
         refined = placing.refined(best)
         if refined.nats > best.nats:
             best = max(best, self._fitted(problem, evidence, refined), key=standing)
-        clear = self._ratio(known, evidence, best, usually) >= self.accepted and best.nats >= least
-        return best.pose if clear else None
+        return best.pose if ratio(best) >= self.accepted and best.nats >= least else None
 
     def _too_fast(self, pose: Pose, last: Moment, time: float) -> float:
         """Fraction of the usual evidence that a pose pays for having turned faster than people do."""

@@ -24,6 +24,7 @@ from twistcap.search.evidence import Evidence
 _UP = np.array([0.0, 0.0, 1.0])
 _FLIP = np.diag([1.0, -1.0, 1.0])
 _POINTS = 120  # of the surface, by which a hypothesis is judged roughly
+_BODIES = 3  # that may be mistaken for each other
 _NEAREST = 0.5  # m; what is nearer to a camera counts as from there, or its few points would outweigh the other views
 
 
@@ -55,6 +56,7 @@ class PlacingRule(Checked):
         grid: m between places.
         headings, turns: headings that are tried at each place, and at the best places.
         places, modes: that are kept.
+        apart: m between places where two bodies may stand: the best hypothesis of each is kept.
         draws: poses of each branch of the body in each round about the best.
         near: rad, standard deviations of the rounds.
         seed: of the draws, which are the same in every run.
@@ -65,6 +67,7 @@ class PlacingRule(Checked):
     turns: Count = 16
     places: Count = 4
     modes: Count = 5
+    apart: float = 0.4
     draws: Count = 24
     near: tuple[float, ...] = (0.5, 0.25)
     seed: int = 0
@@ -134,36 +137,58 @@ class Placing:
         return offsets[chosen]
 
     def standing(self, stances: Sequence[Stance], places: Float) -> list[Hypothesis]:
-        """The roughly best of all stances in all headings at some places (P, 3), moved to where each fits."""
+        """The roughly best of all stances in all headings at some places (P, 3), moved to where each fits; and the best
+        at each place.
+        """
         about = _grid(self.rule.grid * np.linspace(-0.5, 0.5, 3))
-        found = list[tuple[float, Pose]]()
+        found = list[tuple[float, Pose, int]]()
         for stance in stances:
             for heading in headings(self.rule.turns):
                 pose = stance.facing(heading)
                 points = self.points(pose)
-                for place in places:
+                for n, place in enumerate(places):
                     values = self.rough(points, place + about)
                     k = int(np.argmax(values))
                     root = se3.transform(pose.root[:3, :3], pose.root[:3, 3] + place + about[k])
-                    found.append((float(values[k]), Pose(root, pose.q)))
+                    found.append((float(values[k]), Pose(root, pose.q), n))
         found.sort(key=lambda item: -item[0])
-        return [self.hypothesis(pose) for _, pose in found[: 8 * self.rule.modes]]
+        kept, modes = found[: 8 * self.rule.modes], self.rule.modes  # the first of each place
+        for n in range(len(places)):
+            kept += [item for item in found if item[2] == n][sum(item[2] == n for item in kept) : modes]
+        return [self.hypothesis(pose) for _, pose, _ in kept]
 
     def hypothesis(self, pose: Pose) -> Hypothesis:
         """A pose with its evidence."""
         return Hypothesis(pose, self.evidence.of(pose))
 
     def distinct(self, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """The best, best first, each of which puts some part elsewhere than all before it; `modes` at most."""
+        """The best, best first, each of which puts some part elsewhere than all before it, `modes` at most; and the
+        best of other places.
+        """
         kept, middles = list[Hypothesis](), list[Float]()
-        for h in sorted(hypotheses, key=lambda h: -h.nats):
+        ordered = sorted(hypotheses, key=lambda h: -h.nats)
+        for h in ordered:
             here = Posed(self.body, h.pose).segment_middles
             if all(np.abs(here - there).max() > 0.12 for there in middles):
                 kept.append(h)
                 middles.append(here)
             if len(kept) == self.rule.modes:
                 break
+        return [*kept, *(h for h in self.apart(ordered)[:_BODIES] if all(h is not k for k in kept))]
+
+    def apart(self, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Those, in their order, that stand elsewhere than all before them: they may be other bodies."""
+        kept = list[Hypothesis]()
+        for h in hypotheses:
+            if all(away(h.pose, other.pose) > self.rule.apart for other in kept):
+                kept.append(h)
         return kept
+
+    def nearer(self, clear: Sequence[Hypothesis], best: Hypothesis, seen: Pose) -> list[Hypothesis]:
+        """Those of some that are seen clearly that stand nearer than the best to where the body was seen: the best may
+        be another body, which is nearer to a camera, covers more pixels, and so has more evidence.
+        """
+        return [h for h in clear if away(h.pose, seen) < away(best.pose, seen) - self.rule.apart]
 
     def refined(self, h: Hypothesis) -> Hypothesis:
         """The best of draws about a hypothesis, one branch of the body after the other."""
@@ -184,6 +209,11 @@ class Placing:
             step[:6] *= 0.4
             step[3:6] = 0.5 * step[3:6] - np.cross(step[:3], pose.root[:3, 3])
         return step
+
+
+def away(a: Pose, b: Pose) -> float:
+    """m between the roots of two poses."""
+    return float(np.linalg.norm(a.root[:3, 3] - b.root[:3, 3]))
 
 
 def headings(count: int) -> Float:
