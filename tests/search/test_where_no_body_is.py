@@ -19,6 +19,7 @@ from twistcap.cues.view import despeckled
 from twistcap.predict import Moment, Prediction
 from twistcap.search.contradiction import Judged
 from twistcap.search.evidence import Evidence, EvidenceView
+from twistcap.search.limb import LimbRule
 from twistcap.search.lost import LostBody
 from twistcap.search.placing import Placing, PlacingRule
 from twistcap.search.recollection import Recollection
@@ -54,6 +55,14 @@ def test_somebody_alike_who_is_nearer_to_a_camera_is_not_taken_for_the_person(ca
     found = LostBody().found(known, problem, known.evidence(problem), -np.inf, Moment(time, here))
     assert found is not None
     assert np.linalg.norm((found.root - scene.true_poses[12].root)[:3, 3]) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("gained", "less", "believed"), [(0.3, 0.2, True), (0.7, 0.0, True), (0.5, 0.0, False), (0.74, -0.26, False)]
+)
+def test_a_limb_is_not_found_where_its_contour_agrees_less(gained: float, less: float, believed: bool) -> None:
+    """In 6348 of the fault bench a runner's arm was put on a passer-by, 0.48 m away, by 0.74 of its usual evidence."""
+    assert LimbRule().believed(gained, less) is believed
 
 
 def test_places_count_by_the_pixels_that_a_body_covers_there() -> None:

@@ -48,7 +48,8 @@ class LimbRule(Checked):
         unseen: how much less of it is seen of late than usually, from which on it may be elsewhere, in full view.
         gain, share: nats by which the pictures must favour it elsewhere, and the least fraction of what is usual.
         less, plenty: by how much less it must lack, or its contour points disagree; or the evidence that it must gain,
-            as a fraction of what is usual: the contour of a limb in the background's colours says little anywhere.
+            as a fraction of what is usual: the contour of a limb in the background's colours says little anywhere. But
+            it may not disagree more by that much: the limb of somebody alike is elsewhere, and no contour agrees there.
         clear: the least sum of that and of the evidence that it gains, as a fraction of what is usual.
         many: poses of the limb anywhere within its limits that are judged roughly.
         climbing, tries: how many are kept of the roughly best, in sharp and in blurred pictures, and places that are
@@ -113,6 +114,13 @@ class LimbRule(Checked):
         """Limbs of which little has been seen of late."""
         return np.flatnonzero(lately[:-1, UNSEEN] > self.unseen).tolist()
 
+    def believed(self, gained: float, less: float) -> bool:
+        """Whether limbs are where they were found, by the evidence that they gain and by how much less they lack there,
+        or their contours disagree.
+        """
+        agrees = less > self.less or (gained > self.plenty and less > -self.less)
+        return agrees and gained + less > self.clear
+
 
 def taught(known: Recollection, body: Body, groups: Bool) -> Bool:
     """(G,) groups of segments (G, S) of which, or of the other side's, it is known how they usually look."""
@@ -151,8 +159,7 @@ def regained(
     other = Judged(now.problem, fit, known.check(fit.posed, fit.sights, now.problem))
     less = np.mean(_wrong(known, now, groups)[found] - _wrong(known, other, groups)[found])
     gained = gain / max(float(usual[found].sum()), _LITTLE)
-    clear = gained + less > rule.clear and (less > rule.less or gained > rule.plenty)
-    return (other, found) if clear else None
+    return (other, found) if rule.believed(gained, float(less)) else None
 
 
 def _wrong(known: Recollection, now: Judged, groups: Bool) -> Float:
