@@ -160,7 +160,7 @@ def test_turns_are_a_segments_rotation(body) -> None:
 
 def test_offsets_have_their_standard_deviation_and_reach(body) -> None:
     sigma, reach = 0.006, 0.1
-    covariance = np.linalg.inv(f.offset_precision(body, sigma, reach))
+    covariance = np.linalg.inv(f.offset_precision(body, sigma, reach).toarray())
     spread = np.sqrt(np.diag(covariance))
     assert 0.8 * sigma < np.median(spread) < 1.4 * sigma  # the mesh is coarse, and limbs are thinner than the reach
     v = int(np.argmax(body.vertices[:, 0] * (body.vertex_part == body.segment("torso"))))
@@ -198,8 +198,8 @@ def test_vertices_of_a_rough_body_are_paired_one_to_one(seed: int) -> None:
 
 def test_offsets_of_both_sides_are_alike(body) -> None:
     free = f.offset_precision(body, 0.006, 0.1)
-    held = np.linalg.inv(alike(free, body, 0.25))
-    covariance, partner = np.linalg.inv(free), mirrored_vertices(body)
+    held = np.linalg.inv(alike(free, body, 0.25).toarray())
+    covariance, partner = np.linalg.inv(free.toarray()), mirrored_vertices(body)
     for sign, factor in ((1.0, 1.0), (-1.0, 0.25)):
         before, after = (c + sign * c[partner] for c in (covariance, held))
         spread = [

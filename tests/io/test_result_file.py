@@ -110,7 +110,8 @@ from support.cameras import ring
 from support.results import estimate, two_links
 from twistcap.doors.hdf5 import trust
 from twistcap.errors import InputError
-from twistcap.io.result import ResultWriter, read_result, read_state
+from twistcap.io.result import ResultWriter
+from twistcap.io.result import _result_and_state as both
 
 path, kind = {path!r}, {kind!r}
 os.fsync = lambda descriptor: None  # it takes its time, and a kill does not ask for it
@@ -167,11 +168,16 @@ def checked(least):
             assert file["frames/covariance"][k].tobytes() == estimate(k).covariance.tobytes()
             assert file["frames/energies/contour"][k] == estimate(k).energies["contour"]
     trust(path)
-    result, state = read_result(path), read_state(path)
+    result, state = both(path)
     assert len(result) == count and (count == 0 or state is not None)
     assert state is None or (state[1] == state[0]).all() and len(state[1]) == 40 * (state[0] + 1) and state[0] % 3 == 0
     return count
 
+with ResultWriter(path, two_links(), ring(), {{}}) as writer:
+    writer.save_state(np.full(40, 0, np.uint8))
+    writer.append(estimate(0)), writer.append(estimate(1))
+with open(path, "rb") as file:
+    begun = file.read()
 for resume in (False, True):
     nth, answer = 0, ""
     while answer != "whole":
@@ -180,9 +186,8 @@ for resume in (False, True):
             os.unlink(os.path.join(os.path.dirname(path), name))
         least = 0
         if resume:
-            with ResultWriter(path, two_links(), ring(), {{}}) as writer:
-                writer.save_state(np.full(40, 0, np.uint8))
-                writer.append(estimate(0)), writer.append(estimate(1))
+            with open(path, "wb") as file:
+                file.write(begun)
             least = 2
         reading, out = os.pipe()
         if (pid := os.fork()) == 0:

@@ -138,6 +138,13 @@ class Body:
         return out
 
     @cached_property
+    def joint_origins(self) -> Float:
+        """(S, 3) see `twistcap.body.shape.joint_origins`."""
+        from twistcap.body.shape import joint_origin
+
+        return np.array([joint_origin(self, s) for s in range(len(self.segment_names))]).reshape(-1, 3)
+
+    @cached_property
     def segment_middles(self) -> Float:
         """(S, 3) rest-pose mean of the vertices of each segment, m; of the whole body where it has none."""
         middles = np.tile(self.vertices.mean(axis=0), (len(self.segment_names), 1))

@@ -43,7 +43,7 @@ def segment_axes(body: Body) -> tuple[Float, Float]:
 
 def joint_origins(body: Body) -> Float:
     """(S, 3) rest-pose positions of all segments' proximal joints, m, see `joint_origin`."""
-    return np.array([joint_origin(body, s) for s in range(len(body.segment_names))]).reshape(-1, 3)
+    return body.joint_origins
 
 
 def joint_origin(body: Body, segment: int) -> Float:
@@ -79,7 +79,7 @@ def marks_of(body: Body, segment: int) -> Int:
     """Landmarks (indices) of a segment's joint: on one of its two segments and at its centre."""
     marks = body.landmarks
     beside = (marks.segments == segment) | (marks.segments == body.segment_parent[segment])
-    distance = np.linalg.norm(marks.points - joint_origin(body, segment), axis=1)
+    distance = np.linalg.norm(marks.points - joint_origins(body)[segment], axis=1)
     return np.flatnonzero(beside & (distance < _AT_CENTRE)).astype(np.int32)
 
 
@@ -120,7 +120,7 @@ def warped(body: Body, maps: Float) -> Body:
     marks = body.landmarks
     points = se3.apply(maps[marks.segments], marks.points[:, None])[:, 0]
     jointed = np.flatnonzero(body.segment_joint >= 0).tolist()
-    moved = {s: se3.apply(maps[body.segment_parent[s]], joint_origin(body, s)[None])[0] for s in jointed}
+    moved = {s: se3.apply(maps[body.segment_parent[s]], joint_origins(body)[s, None])[0] for s in jointed}
     marks = Landmarks(marks.names, marks.segments, points)
     return replace(body, vertices=vertices, twists=joints_at(body, moved), landmarks=marks)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -147,25 +148,34 @@ class Setup:
 
     def problem(self, sigmas: Float, reach: float | None, kept: Sequence[Bool] | None = None) -> BlockProblem:
         """The terms of all sightings, and of what is known of lenses and shapes before."""
-        every = kept or [np.ones(len(s.ids), np.bool_) for s in self.sightings]
-        terms = [
-            self._term(s, s.rough * float(sigmas[s.camera]), reach, w)
-            for s, w in zip(self.sightings, every, strict=True)
-        ]
+        own = [s.only(some) for s, some in zip(self.sightings, kept, strict=True)] if kept else self.sightings
+        terms = [self._term([own[n] for n in group], sigmas, reach) for group in self.groups]
         shapes = [BlockGaussian(f"shape of {n}", np.zeros_like(x.sigmas), x.sigmas) for n, x in self.solids.items()]
         lenses = [KnownLens(self.guess.lenses[c], f"lens {c}") for c in sorted({s.camera for s in self.sightings})]
         known = [] if self.fixed_lenses else lenses
         clocks = [BlockGaussian(f"clock {c}", np.zeros(1), np.array([_LATE])) for c in self.estimated_clocks]
         return BlockProblem([*terms, *shapes, *known, *clocks], reach=0 if self.moments else None)
 
-    def _term(self, s: Sighting, sigma: float, reach: float | None, kept: Bool) -> SightingTerm:
-        block, frame = self.frames[s.moment]
-        names = (f"place {s.camera}", f"lens {s.camera}", block, f"shape of {s.solid}")
-        lens = self.guess.lenses[s.camera]
-        clock = f"clock {s.camera}" if self.clocks and s.motion is not None else None
-        motion = None if s.motion is None else s.motion[:, kept]
-        points = (self.solids[s.solid], s.ids[kept], s.pixels[kept])
-        return SightingTerm(*points, sigma, reach, lens, *names, frame, clock, motion)
+    @cached_property
+    def groups(self) -> list[list[int]]:
+        """Which sightings have one term: those of one camera and solid, with motion or without."""
+        out: dict[tuple[object, ...], list[int]] = {}
+        for n, s in enumerate(self.sightings):
+            out.setdefault((s.camera, s.solid, self.frames[s.moment][0], s.motion is None), []).append(n)
+        return list(out.values())
+
+    def _term(self, own: Sequence[Sighting], sigmas: Float, reach: float | None) -> SightingTerm:
+        """Of the sightings of a group."""
+        s, ends = own[0], np.cumsum([0, *(len(s.ids) for s in own)]).tolist()
+        names = (f"place {s.camera}", f"lens {s.camera}", self.frames[s.moment][0], f"shape of {s.solid}")
+        motions = [s.motion for s in own if s.motion is not None]
+        return SightingTerm(
+            self.solids[s.solid], np.concatenate([s.ids for s in own]), np.concatenate([s.pixels for s in own]),
+            np.concatenate([np.full(len(s.ids), s.rough * float(sigmas[s.camera])) for s in own]),
+            [slice(*pair) for pair in pairwise(ends)], [self.frames[s.moment][1] for s in own], reach,
+            self.guess.lenses[s.camera], *names, f"clock {s.camera}" if self.clocks and motions else None,
+            np.concatenate(motions, axis=1) if motions else None,
+        )  # fmt: skip
 
 
 def adjust(setup: Setup, report: Callable[[str], None] = lambda note: None) -> Adjustment:
@@ -199,8 +209,12 @@ def _minimised(problem: BlockProblem, x: Variables, gain: float) -> Variables:
 
 
 def _residuals(setup: Setup, x: Variables) -> list[Float]:
-    every = setup.problem(np.ones(len(setup.guess.lenses)), None).terms
-    return [term.residuals(x) for term in every if isinstance(term, SightingTerm)]
+    terms, out = setup.problem(np.ones(len(setup.guess.lenses)), None).terms, dict[int, Float]()
+    for group, term in zip(setup.groups, terms, strict=False):
+        assert isinstance(term, SightingTerm)
+        residuals = term.residuals(x)
+        out |= {n: residuals[own] for n, own in zip(group, term.images, strict=True)}
+    return [out[n] for n in range(len(setup.sightings))]
 
 
 def _noise(setup: Setup, x: Variables) -> Float:

@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter1d
 from twistcap import se3
 from twistcap.arrays import Bool, Float
 from twistcap.calibrate.sightings import LONE, Sighting, by_camera
-from twistcap.calibrate.start import LensFit, likeliest_place
+from twistcap.calibrate.start import LensFit, likeliest_places
 from twistcap.calibrate.terms import Solid
 
 _RATE = 60.0  # 1/s, at which signals are compared
@@ -124,7 +124,8 @@ def _motion(own: Sequence[Sighting], fit: LensFit, solid: Solid, times: Float) -
     reach = float(np.linalg.norm(solid.points - centre, axis=1).max())
     count = int(np.ceil((times[-1] + FARTHEST) * _RATE)) + 1
     values, known = np.zeros((count, 6)), np.zeros(count, np.bool_)
-    places = [(times[s.moment], likeliest_place(s, solid, fit)) for s in sorted(own, key=lambda s: s.moment)]
+    own = sorted(own, key=lambda s: s.moment)
+    places = zip((times[s.moment] for s in own), likeliest_places(own, solid, fit), strict=True)
     seen = [(time, T @ se3.transform(np.eye(3), centre)) for time, T in places if T is not None]
     for (before, first), (after, second) in pairwise(seen):
         velocity = np.array([*np.repeat(reach, 3), 1, 1, 1]) * _step(first, second) / (after - before)

@@ -26,7 +26,8 @@ _MOST = 100.0  # a factor beyond it says that the fit is wrong, not that points 
 
 
 def marginals(problem: BlockProblem, x: Variables, sightings: Sequence[BlockTerm]) -> Float:
-    """(K, K) covariance of all free numbers but the boards' poses; `sightings` are the terms of one picture each.
+    """(K, K) covariance of all free numbers but the boards' poses; `sightings` are terms that add the rows of
+    one picture after the other.
 
     Raises InputError where the sightings do not determine the cameras.
     """
@@ -35,42 +36,38 @@ def marginals(problem: BlockProblem, x: Variables, sightings: Sequence[BlockTerm
         shared = system.marginals().shared if isinstance(system, Arrow) else problem.covariance(x)
     except InputError as error:
         raise InputError(_TOO_FEW) from error
-    pulls = np.array([_pull(term, x, system) for term in sightings])
+    sums = _Pulls(x, system)
+    for term in sightings:
+        term.add_to(sums, x)
+    pulls = np.array(sums.pulls)
     return shared * float(np.clip(np.sum((pulls @ shared) * pulls) / len(shared), 1.0, _MOST))
 
 
 @dataclass
-class _Pull:
-    """The gradient of one term."""
+class _Pulls:
+    """The pull (K,) of each picture on all but the poses, which follow it."""
 
     x: Variables
-    gradient: Float
-    touched: set[int] = field(default_factory=set[int])
+    system: object
+    pulls: list[Float] = field(default_factory=list[Float])
 
     def add_rows(self, energy: float, slopes: list[Slope], weight: Float, residual: Float) -> None:
-        """Add the gradient of its rows."""
+        """The pull of the rows of one picture."""
         del energy
+        gradient, touched = np.zeros(self.x.dof), set[int]()
         for slope in slopes:
             if slope.block in self.x.slices:
                 start = self.x.slices[slope.block].start + slope.first
-                self.gradient[start : start + slope.by.shape[1]] += slope.by.T @ (weight * residual)
+                gradient[start : start + slope.by.shape[1]] += slope.by.T @ (weight * residual)
                 if slope.block == "boards":
-                    self.touched.add(slope.first // 6)
+                    touched.add(slope.first // 6)
+        system = self.system
+        if isinstance(system, Arrow):
+            poses, gradient = np.split(gradient, [system.pull.size])
+            for t in touched:
+                gradient -= system.border[t].T @ np.linalg.solve(system.band[t, 0], poses[6 * t : 6 * t + 6])
+        self.pulls.append(gradient)
 
     def add_quadratic(self, places: list[Place], value: float, gradient: Float, hessian: Float) -> None:
         """A sighting adds rows only."""
         raise NotImplementedError
-
-
-def _pull(term: BlockTerm, x: Variables, system: object) -> Float:
-    """(K,) the pull of one sighting on all but the poses, which follow it."""
-    pull = _Pull(x, np.zeros(x.dof))
-    term.add_to(pull, x)
-    if not isinstance(system, Arrow):
-        return pull.gradient
-    poses = system.pull.size
-    out = pull.gradient[poses:].copy()
-    for t in pull.touched:
-        own = pull.gradient[6 * t : 6 * t + 6]
-        out -= system.border[t].T @ np.linalg.solve(system.band[t, 0], own)
-    return out

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twistcap.arrays import Float, Int
+from twistcap.arrays import Bool, Float, Int
 from twistcap.calibrate.board import Board
 from twistcap.calibrate.detect import Detector
 from twistcap.io.video import Source
@@ -39,6 +39,11 @@ class Sighting:
     solid: str = "board"
     motion: Float | None = None
     rough: float = 1.0
+
+    def only(self, some: Bool) -> Sighting:
+        """With some of its points (N,)."""
+        motion = None if self.motion is None else self.motion[:, some]
+        return replace(self, ids=self.ids[some], pixels=self.pixels[some], motion=motion)
 
 
 def look(

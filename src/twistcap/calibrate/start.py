@@ -63,7 +63,11 @@ def fitted_lens(
 
 def placed(lens: Lens, numbers: Float, s: Sighting, solid: Solid) -> list[Float]:
     """Places `T_cam_board` that a sighting may mean, the likelier first: a flat board may be seen tilted either way."""
-    xy = lens.normalised(numbers, s.pixels)
+    return _placed(numbers, s, lens.normalised(numbers, s.pixels), solid)
+
+
+def _placed(numbers: Float, s: Sighting, xy: Float, solid: Solid) -> list[Float]:
+    """The same by image-plane coordinates (N, 2)."""
     good = np.all(np.isfinite(xy), axis=1) & (np.abs(xy).max(axis=1) < 10.0)
     if good.sum() < 4:
         return []
@@ -83,9 +87,9 @@ def placed(lens: Lens, numbers: Float, s: Sighting, solid: Solid) -> list[Float]
     return [T for T in out if np.all(np.isfinite(T)) and np.all(se3.apply(T, points)[:, 2] > 0.0)]
 
 
-def likeliest_place(s: Sighting, solid: Solid, fit: LensFit) -> Float | None:
-    """`T_cam_board` by one sighting and a known lens; None where it means none."""
-    return _best_place(s, solid, fit.lens, fit.numbers)[1]
+def likeliest_places(own: Sequence[Sighting], solid: Solid, fit: LensFit) -> list[Float | None]:
+    """`T_cam_board` by each sighting and a known lens; None where it means none."""
+    return [T for _, T in _best_places(own, solid, fit.lens, fit.numbers)]
 
 
 def chained(sightings: Sequence[Sighting], fits: Sequence[LensFit], solid: Solid, names: Sequence[str]) -> Guess:
@@ -113,7 +117,7 @@ def _fit(few: Sequence[Sighting], solid: Solid, lens: Lens, name: str) -> LensFi
         starts = _brown_starts(few, solid, lens)
     else:
         starts = [_plain(lens, lens.side / opening) for opening in _OPENINGS]  # px for each rad
-    best = min(starts, key=lambda numbers: float(np.mean([_best_place(s, solid, lens, numbers)[0] for s in few])))
+    best = min(starts, key=lambda numbers: float(np.mean([off for off, _ in _best_places(few, solid, lens, numbers)])))
     fit = _fit_from(few, solid, lens, best)
     if fit is None:
         why = "no lens explains its pictures of the board; check --board, and film it again"
@@ -121,19 +125,26 @@ def _fit(few: Sequence[Sighting], solid: Solid, lens: Lens, name: str) -> LensFi
     return fit
 
 
-def _best_place(s: Sighting, solid: Solid, lens: Lens, numbers: Float) -> tuple[float, Float | None]:
-    """Of the places that a sighting may mean, the least distance of its points, px, and that place."""
-    s = replace(s, camera=0)
-    off = [(misfit(T, [s], {0: np.eye(4)}, [lens], [numbers], solid), T) for T in placed(lens, numbers, s, solid)]
-    return min(off, key=lambda pair: pair[0], default=(1e3, None))
+def _best_places(own: Sequence[Sighting], solid: Solid, lens: Lens, numbers: Float) -> list[tuple[float, Float | None]]:
+    """Of the places that each sighting may mean, the least distance of its points, px, and that place."""
+    xy = lens.normalised(numbers, np.concatenate([np.zeros((0, 2)), *(s.pixels for s in own)]))
+    ways = [_placed(numbers, s, plane, solid) for s, plane in zip(own, _by_sighting(xy, own), strict=True)]
+    pairs = [(s, T) for s, places in zip(own, ways, strict=True) for T in places]
+    off = iter(_misfits(pairs, lens, numbers, solid))
+    return [min(((next(off), T) for T in places), key=lambda p: p[0], default=(1e3, None)) for places in ways]
+
+
+def _by_sighting(values: Float, own: Sequence[Sighting]) -> list[Float]:
+    """Values of all points, apart."""
+    return np.split(values, np.cumsum([len(s.ids) for s in own])[:-1])
 
 
 def _fit_from(few: Sequence[Sighting], solid: Solid, lens: Lens, numbers: Float) -> LensFit | None:
     """The lens, begun with these numbers; and begun again, where it shows a board tilted the other way."""
     fit: LensFit | None = None
     for _ in range(_TILTED):
-        ways = {s.moment: _best_place(s, solid, lens, numbers)[1] for s in few}
-        boards = {m: T for m, T in ways.items() if T is not None}
+        ways = zip(few, _best_places(few, solid, lens, numbers), strict=True)
+        boards = {s.moment: T for s, (_, T) in ways if T is not None}
         if len(boards) < _FEWEST or (fit is not None and not _tilted(boards, fit.adjustment.guess.boards)):
             return fit
         guess = Guess((lens,), (numbers,), (np.eye(4),), boards, (1.0,), (0.0,))
@@ -246,9 +257,16 @@ def misfit(
     solid: Solid,
 ) -> float:  # fmt: skip
     """Median distance, px, of the points of a board at T from all cameras' pixels."""
-    off = list[Float]()
-    for s in own:
-        seen = se3.apply(places[s.camera] @ T, solid.points[s.ids])
-        pixels = lenses[s.camera].pixels(numbers[s.camera], np.where(seen[:, 2:] > 0.02, seen, np.nan))
-        off.append(np.nan_to_num(np.linalg.norm(pixels - s.pixels, axis=1), nan=1e4))
-    return float(np.mean([np.median(o) for o in off]))
+    off = [_misfits([(s, places[s.camera] @ T)], lenses[s.camera], numbers[s.camera], solid) for s in own]
+    return float(np.mean(off))
+
+
+def _misfits(pairs: Sequence[tuple[Sighting, Float]], lens: Lens, numbers: Float, solid: Solid) -> list[float]:
+    """The same of each sighting of one camera with the board at a place `T_cam_board`."""
+    if not pairs:
+        return []
+    own = [s for s, _ in pairs]
+    seen = np.concatenate([se3.apply(T, solid.points[s.ids]) for s, T in pairs])
+    pixels = lens.pixels(numbers, np.where(seen[:, 2:] > 0.02, seen, np.nan))
+    off = np.nan_to_num(np.linalg.norm(pixels - np.concatenate([s.pixels for s in own]), axis=1), nan=1e4)
+    return [float(np.median(part)) for part in _by_sighting(off, own)]

@@ -1,7 +1,8 @@
-"""Points of a solid (a board, a measured scene) against their pixels in one image, with rows on all that is unknown."""
+"""Points of a solid (a board, a measured scene) against their pixels in images, with rows on all that is unknown."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -61,16 +62,18 @@ def measured(points: Float, sigma: float) -> Solid:
 
 @dataclass(frozen=True)
 class SightingTerm:
-    """N points of a solid in one image: Geman and McClure's loss of each distance, or its square where `reach` is None.
+    """N points of a solid in M images of a camera: Geman and McClure's loss of each distance, or its square where
+    `reach` is None. They are projected together, since an image has few points; each image adds rows of its own.
 
     Attributes:
-        solid, ids: the points, and which of them (N,).
-        target, sigma: (N, 2) px, and their standard deviation.
+        solid, ids: the points, and which of them (N,), one image after the other.
+        target, sigma: (N, 2) px, and their standard deviations (N,).
+        images: which of the points are of each image.
+        frames: of the track, one for each image.
         reach: standard deviations from which a point is down-weighted.
         lens: what the numbers in the block `numbers` mean.
         camera, numbers, poses, shape: names of the blocks: a `CameraBlock` for its place, `Vector` of the lens,
             `PoseTrack` of the solid, and `Vector` of its shape.
-        frame: of the track.
         clock: name of the block of the camera's clock, a `Vector` of the frames by which it is late; None for a clock
             that is right. `motion` (2, N, 2) says where its points were (see `Sighting`).
     """
@@ -78,14 +81,15 @@ class SightingTerm:
     solid: Solid
     ids: Int
     target: Float
-    sigma: float
+    sigma: Float
+    images: Sequence[slice]
+    frames: Sequence[int]
     reach: float | None
     lens: Lens
     camera: str
     numbers: str
     poses: str
     shape: str
-    frame: int = 0
     clock: str | None = None
     motion: Float | None = None
     name: str = "sightings"
@@ -98,7 +102,7 @@ class SightingTerm:
         return float(np.sum(self._loss(self._offsets(x))[0]))
 
     def add_to(self, sums: Sums, x: Variables) -> None:
-        world, seen = self._points(x)
+        turns, world, seen = self._points(x)
         before = seen[:, 2] > _NEAREST
         safe = np.where(before[:, None], seen, [0.0, 0.0, 1.0])
         pixels, by_seen, by_numbers = self.lens.project(x[self.numbers].values, safe)
@@ -106,23 +110,25 @@ class SightingTerm:
         residual, by_seen = scale * (pixels - self._target(x)), scale[..., None] * by_seen
         energy, weight = self._loss(np.where(before, np.sum(residual * residual, axis=1), _WRONG**2))
         by_world = by_seen @ x[self.camera].camera.T_cam_world[:3, :3]
-        slopes = [Slope(self.poses, _rows(by_world @ _moved(world)), 6 * self.frame)]
+        by_pose, weight = by_world @ _moved(world), np.stack([np.where(before, weight, 0.0)] * 2, axis=1)
+        shared = dict[str, Float]()
         if self.camera in x.free:
-            slopes.append(Slope(self.camera, _rows(by_seen @ _moved(seen))))
+            shared[self.camera] = by_seen @ _moved(seen)
         if self.numbers in x.free:
-            slopes.append(Slope(self.numbers, _rows(scale[..., None] * by_numbers)))
+            shared[self.numbers] = scale[..., None] * by_numbers
         if self.shape in x.free:
-            turn = x[self.poses].poses[self.frame].root[:3, :3]
-            slopes.append(Slope(self.shape, _rows(by_world @ turn @ self.solid.bases[self.ids])))
+            shared[self.shape] = by_world @ turns @ self.solid.bases[self.ids]
         if self.clock is not None and self.motion is not None:
             by_late = self.motion[0] - 2.0 * x[self.clock].values[0] * self.motion[1]
-            slopes.append(Slope(self.clock, _rows((scale * by_late)[..., None])))
-        rows = np.repeat(np.where(before, weight, 0.0), 2)
-        sums.add_rows(float(np.sum(energy)), slopes, rows, residual.ravel())
+            shared[self.clock] = (scale * by_late)[..., None]
+        for own, frame in zip(self.images, self.frames, strict=True):
+            slopes = [Slope(self.poses, _rows(by_pose[own]), 6 * frame)]
+            slopes += [Slope(block, _rows(by[own])) for block, by in shared.items()]
+            sums.add_rows(float(np.sum(energy[own])), slopes, weight[own].ravel(), residual[own].ravel())
 
     def residuals(self, x: Variables) -> Float:
         """(N, 2) px, seen less measured; NaN behind the camera."""
-        seen = self._points(x)[1]
+        seen = self._points(x)[2]
         pixels = self.lens.pixels(x[self.numbers].values, np.where(seen[:, 2:] > _NEAREST, seen, np.nan))
         return pixels - self._target(x)
 
@@ -133,15 +139,17 @@ class SightingTerm:
         late = x[self.clock].values[0]
         return self.target - late * self.motion[0] + late * late * self.motion[1]
 
-    def _points(self, x: Variables) -> tuple[Float, Float]:
-        """(N, 3) each, m: in the world, before the camera."""
-        local = self.solid.at(x[self.shape].values)[self.ids]
-        world = se3.apply(x[self.poses].poses[self.frame].root, local)
-        return world, se3.apply(x[self.camera].camera.T_cam_world, world)
+    def _points(self, x: Variables) -> tuple[Float, Float, Float]:
+        """Rotation (N, 3, 3) of the solid at each point; points (N, 3) m in the world, and before the camera."""
+        local, poses = self.solid.at(x[self.shape].values)[self.ids], x[self.poses].poses
+        roots = np.array([poses[frame].root for frame in self.frames])
+        roots = roots.repeat([own.stop - own.start for own in self.images], axis=0)
+        world = se3.apply(roots, local[:, None])[:, 0]
+        return roots[:, :3, :3], world, se3.apply(x[self.camera].camera.T_cam_world, world)
 
     def _offsets(self, x: Variables) -> Float:
         """(N,) squares of the distances, in standard deviations."""
-        squares = np.sum((self.residuals(x) / self.sigma) ** 2, axis=1)
+        squares = np.sum((self.residuals(x) / self.sigma[:, None]) ** 2, axis=1)
         return np.where(np.isfinite(squares), squares, _WRONG**2)
 
     def _loss(self, squares: Float) -> tuple[Float, Float]:

@@ -26,7 +26,7 @@ _SIDES = {"r": "right", "l": "left", "": "middle"}
 _LEAST_SPAN_DEG = 10.0
 _COLUMNS = 360  # of pixels in a panel, about
 _PANEL = (3.2, 1.9)  # inches of a panel with its labels and title
-_LABELS, _TITLE = 0.45, 0.32  # inches of these
+_LABELS, _TITLE, _BELOW = 0.45, 0.32, 0.25  # inches of these, and from a panel down to the label at its foot
 _HEAD, _LEGEND, _FOOT = 0.25, 0.28, 0.4  # inches of the figure's title, a legend below it, and the labels at the foot
 _WIDE = 3  # columns from which on the legend is beside the title
 _LOST, _DROPPED, _NORM = "#e5484d", "#9aa3ad", "#aab2bd"
@@ -51,19 +51,20 @@ def angle_plot(
     other frames need: a band may be whole turns wide where the body is lost."""
     names = estimate.names
     unknown = np.any([flags for flags in (lost, dropped, np.zeros(len(estimate.times))) if flags is not None], axis=0)
-    figure, panels = _grid(names, title)
+    drawn = [(estimate, ~unknown), *([] if truth is None else [(truth, np.isfinite(truth.times))])]
+    figure, panels = _grid(names, title, np.concatenate([series.times for series, _ in drawn]))
     for panel, axis in panels.items():
+        own = [name for name in names if split_side(name)[0] == panel]
+        _fit_height(axis, drawn, own)
         for flags, colour in ((lost, _LOST), (dropped, _DROPPED)):
             for start, end in spans(estimate.times, flags) if flags is not None else ():
                 axis.axvspan(start, end, color=colour, alpha=0.22, lw=0, zorder=0)
-        own = [name for name in names if split_side(name)[0] == panel]
         for name in own:
             _draw_angle(axis, estimate, name)
             if truth is not None and name in truth.names:
                 colour = _DARK[split_side(name)[1]]
                 values = np.degrees(truth.angles[:, truth.names.index(name)])
                 axis.plot(truth.times, values, "--", color=colour, lw=1.1, dashes=(4, 2.5), zorder=4)
-        _fit_height(axis, [(estimate, ~unknown), *([] if truth is None else [(truth, np.isfinite(truth.times))])], own)
         _finish_angles(axis, panel)
     more: list[Line2D | Patch] = []
     if estimate.sigma is not None:
@@ -134,7 +135,7 @@ def cycle_plot(
     one panel; a coordinate of the middle has a curve over the strides of each side. `norms` are lower and upper edges
     (101,) of published bands, by the name of the panel, drawn grey behind. `unsure` curves are dashed."""
     names, bands = list(curves), norms or {}
-    figure, panels = _grid(names, title, "% of the cycle")
+    figure, panels = _grid(names, title, PERCENT, "% of the cycle")
     for panel, axis in panels.items():
         if panel in bands:
             axis.fill_between(PERCENT, *bands[panel], color=_NORM, alpha=0.45, lw=0, zorder=1)
@@ -153,7 +154,7 @@ def cycle_plot(
 
 def joint_error_plot(path: Path | str, times: Float, names: Sequence[str], errors_mm: Float) -> Path:
     """Position error of each joint (N, L) in mm over time, one panel per joint; in grey the median of all."""
-    figure, panels = _grid(names, "Joint position error (mm)")
+    figure, panels = _grid(names, "Joint position error (mm)", times)
     top, median = _ceiling(errors_mm), [percentile_known(errors, 50) for errors in errors_mm]
     for panel, axis in panels.items():
         axis.plot(times, median, color="#b9c0c8", lw=1.2, zorder=2)
@@ -173,8 +174,8 @@ def _ceiling(errors: Float) -> float:
     return 1.08 * float(min(known.max(), max(5.0 * np.percentile(known, 90), 1.0))) or 1.0
 
 
-def _grid(names: Sequence[str], title: str, along: str = "time (s)") -> tuple[Figure, dict[str, Axes]]:
-    """A figure and one panel for both sides of a name."""
+def _grid(names: Sequence[str], title: str, across: Float, along: str = "time (s)") -> tuple[Figure, dict[str, Axes]]:
+    """A figure and one panel for both sides of a name, as wide as all values `across`."""
     stems = list(dict.fromkeys(split_side(name)[0] for name in names))
     panels, columns = len(stems), min(4, max(1, math.ceil(math.sqrt(len(stems)))))
     rows = math.ceil(panels / columns)
@@ -183,9 +184,11 @@ def _grid(names: Sequence[str], title: str, along: str = "time (s)") -> tuple[Fi
     figure = Figure(figsize=(width, height), dpi=130)
     FigureCanvasAgg(figure)
     figure.suptitle(title, x=0.01, y=1.0 - 0.08 / height, ha="left", va="top", fontsize=12, fontweight="bold")
-    # Places are given: finding them would draw all text of all panels several times, a second or more.
+    # Places and widths are given: finding them would draw all text of all panels several times, a second or more.
+    low, high = float(across.min()), float(across.max())
+    pad = 0.05 * (high - low) or 0.05
     cells = figure.subplots(
-        rows, columns, sharex=True, squeeze=False,
+        rows, columns, squeeze=False,
         gridspec_kw={
             "left": _LABELS / width, "right": 1.0 - 0.1 / width, "wspace": _LABELS / (_PANEL[0] - _LABELS),
             "bottom": (_FOOT + 0.05) / height, "top": 1.0 - (head + _TITLE) / height,
@@ -194,6 +197,9 @@ def _grid(names: Sequence[str], title: str, along: str = "time (s)") -> tuple[Fi
     ).ravel().tolist()  # fmt: skip
     for k, axis in enumerate(cells):
         axis.set_visible(k < panels)
+        axis.set_xlim(low - pad, high + pad)
+        for line in (axis.xaxis, axis.yaxis):
+            line.set_label_coords(0.5, -_BELOW / (_PANEL[1] - _TITLE))
         axis.grid(True, color="#e6e9ed", lw=0.8)
         axis.set_axisbelow(True)
         axis.tick_params(labelsize=8, length=2, color="#9aa3ad", labelbottom=k + columns >= panels)

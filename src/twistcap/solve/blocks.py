@@ -43,14 +43,25 @@ class Vector:
 
 @dataclass(frozen=True)
 class Moment:
-    """A pose between two frames of a track; `by_frame` (D, D) are the derivatives of its step by those of the two,
-    `velocity` (D,) (rad/s, m/s) that by time.
+    """A pose between two frames of a track, at a `fraction` of the `step` (D,) from one to the other, and `velocity`
+    (D,) (rad/s, m/s), the derivative of its step by time.
     """
 
     pose: Pose
     frames: tuple[int, int]
-    by_frame: tuple[Float, Float]
+    fraction: float
+    step: Float
     velocity: Float
+
+    @cached_property
+    def by_frame(self) -> tuple[Float, Float]:
+        """(D, D) derivatives of its step by those of the two frames, see `PoseTrack.at`."""
+        a, along, D = self.fraction, self.step[:6], len(self.step)
+        bent = a * se3.left_jacobian(a * along)
+        by_first, by_second = (1.0 - a) * np.eye(D), a * np.eye(D)
+        by_first[:6, :6] = se3.adjoint(se3.exp(a * along)) - bent @ se3.inverse_left_jacobian(-along)
+        by_second[:6, :6] = bent @ se3.inverse_left_jacobian(along)
+        return by_first, by_second
 
 
 @dataclass(frozen=True)
@@ -82,12 +93,7 @@ class PoseTrack:
         k = int(np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, len(self.poses) - 2))
         first, second, gap = self.poses[k], self.poses[k + 1], float(self.times[k + 1] - self.times[k])
         a, step = (time - float(self.times[k])) / gap, second.minus(first)
-        along, D = step[:6], self.pose_dof
-        bent = a * se3.left_jacobian(a * along)
-        by_first, by_second = (1.0 - a) * np.eye(D), a * np.eye(D)
-        by_first[:6, :6] = se3.adjoint(se3.exp(a * along)) - bent @ se3.inverse_left_jacobian(-along)
-        by_second[:6, :6] = bent @ se3.inverse_left_jacobian(along)
-        return Moment(first.retract(a * step), (k, k + 1), (by_first, by_second), step / gap)
+        return Moment(first.retract(a * step), (k, k + 1), a, step, step / gap)
 
 
 @dataclass(frozen=True)

@@ -116,19 +116,21 @@ def shade(face_index: Int, origin: tuple[int, int], factor: int, drawn: DrawnMes
     f = face_index[rows, cols]
     weights = barycentric(f, faces, pixels, inverse_depth, np.stack([cols, rows], axis=1) + np.array(origin))
 
-    cover, place, normal = (blended(values, faces[f], weights) for values in (look.cover, rest, normals))
+    corners = faces[f]
+    cover, place, normal = (blended(values, corners, weights) for values in (look.cover, rest, normals))
     garment = np.argmax(cover, axis=1)
     texture = 1.0 + look.contrast[garment, None] * solid_noise(look.lattice, OCTAVES, place)
     samples = np.zeros((*face_index.shape, 4))
     samples[rows, cols, :3] = np.clip(look.albedo[garment] * texture * _light(normal, look.lights), 0.0, 1.0)
     samples[rows, cols, 3] = 1.0
     H, W = face_index.shape[0] // factor, face_index.shape[1] // factor
-    return samples.reshape(H, factor, W, factor, 4).mean(axis=(1, 3)).astype(np.float32)
+    rows = samples.reshape(H, factor, -1).sum(axis=1)  # a mean over both axes at once takes twice the time
+    return (rows.reshape(H, W, factor, 4).sum(axis=2) / factor**2).astype(np.float32)
 
 
 def _light(normals: Float, lights: Float) -> Float:
     """(N, 3) light on surface points of these normals (N, 3), by Lambert's law; ambient light comes from above."""
-    n = normals / np.sqrt((normals * normals).sum(axis=1, keepdims=True))
+    n = normals / np.sqrt(np.einsum("ni,ni->n", normals, normals))[:, None]
     ambient = lights[-1, 3:] * (0.85 + 0.15 * n[:, 2:])
     return ambient + np.maximum(n @ lights[:-1, :3].T, 0.0) @ lights[:-1, 3:]
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+from scipy import sparse
 from scipy.linalg import block_diag
 
 from twistcap import se3
@@ -175,7 +176,7 @@ def _marks_with(body: Body, joints: Float) -> Float:
     return out
 
 
-def offset_precision(body: Body, sigma: float, reach: float) -> Float:
+def offset_precision(body: Body, sigma: float, reach: float) -> sparse.csr_array:
     """(V, V) precision of smooth per-vertex offsets of a standard deviation (m), alike over `reach` (m).
 
     The field of Whittle and Matérn with smoothness 1 on the mesh, ``c (κ² M + K) M⁻¹ (κ² M + K)``, of cotangent
@@ -183,9 +184,9 @@ def offset_precision(body: Body, sigma: float, reach: float) -> Float:
     """
     area, stiffness = _finite_elements(body.vertices, body.faces)
     kappa = np.sqrt(8.0) / reach
-    L = np.diag(kappa**2 * area) + stiffness
+    L = sparse.csr_array(sparse.diags_array(kappa**2 * area) + stiffness)
     scale = 1.0 / (4.0 * np.pi * kappa**2 * sigma**2)
-    return scale * L @ (L / area[:, None])
+    return sparse.csr_array(L @ sparse.diags_array(scale / area) @ L)
 
 
 def turns(body: Body) -> Float:
@@ -201,10 +202,10 @@ def turns(body: Body) -> Float:
     return out.reshape(-1, *body.vertices.shape)
 
 
-def _finite_elements(vertices: Float, faces: Int) -> tuple[Float, Float]:
+def _finite_elements(vertices: Float, faces: Int) -> tuple[Float, sparse.csr_array]:
     """Lumped areas (V,) and cotangent stiffness (V, V) of a triangle mesh."""
     V = len(vertices)
-    area, stiffness = np.zeros(V), np.zeros((V, V))
+    area, stiffness = np.zeros(V), sparse.csr_array((V, V))
     corners = vertices[faces]
     twice = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     twice = np.maximum(twice, 1e-9)
@@ -213,8 +214,8 @@ def _finite_elements(vertices: Float, faces: Int) -> tuple[Float, Float]:
         np.add.at(area, faces[:, k], twice / 6.0)
         a, b = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
         half = np.clip(0.5 * np.sum(a * b, axis=1) / twice, 0.0, 5.0)  # obtuse corners would make it indefinite
-        for m, n, sign in ((i, j, -1.0), (j, i, -1.0), (i, i, 1.0), (j, j, 1.0)):
-            np.add.at(stiffness, (m, n), sign * half)
+        where = np.concatenate([i, j, i, j]), np.concatenate([j, i, i, j])
+        stiffness += sparse.coo_array((np.concatenate([-half, -half, half, half]), where), shape=(V, V))
     return area, stiffness
 
 

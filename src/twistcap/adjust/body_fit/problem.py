@@ -53,7 +53,7 @@ class Freedom:
         """(V, V) of the offsets, or (0, 0)."""
         if not self.offsets:
             return np.zeros((0, 0))
-        return alike(f.offset_precision(self.given, _OFFSET, _REACH), self.given, _APART)
+        return alike(f.offset_precision(self.given, _OFFSET, _REACH), self.given, _APART).toarray()
 
 
 @dataclass(frozen=True)

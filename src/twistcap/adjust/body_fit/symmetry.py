@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import sparse
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
@@ -45,7 +46,7 @@ def mirrored_vertices(body: Body) -> Int:
     return partner
 
 
-def alike(precision: Float, body: Body, apart: float) -> Float:
+def alike(precision: sparse.csr_array, body: Body, apart: float) -> sparse.csr_array:
     """(V, V) precision of offsets whose difference between the sides is held; the same where nothing is paired.
 
     Offsets are the sum of a part that both sides have in common and of one with opposite signs, whose standard

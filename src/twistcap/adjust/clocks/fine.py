@@ -141,8 +141,10 @@ class ClockProblem:
         shared = _shared(x)
         arrow = Arrow(len(x.track.poses), x.track.pose_dof, len(shared), 2)
         arrow.longest, arrow.shared_longest = 0.5, _LONGEST
+        twists = [_twist(x, camera) for camera in range(len(self.places))]
+        turned = [(se3.exp(w) @ T, se3.left_jacobian(w)[:, :3]) for w, T in zip(twists, self.places, strict=True)]
         for camera, term, at in self._sights(x):
-            self._add(arrow, x, camera, term, at)
+            self._add(arrow, x, camera, term, at, turned[camera])
         self.motion.add_to(arrow, x.track)
         arrow.value += 0.5 * float(np.sum((shared / self.known) ** 2))
         arrow.shared_pull += shared / self.known**2
@@ -174,14 +176,15 @@ class ClockProblem:
         arrow.border[:, :, k], arrow.corner[k], arrow.corner[:, k], arrow.shared_pull[k] = 0.0, 0.0, 0.0, 0.0
         arrow.corner[k, k] = 1.0
 
-    def _add(self, arrow: Arrow, x: Clocked, camera: int, term: PointNormalTerm, at: Moment) -> None:
-        """Add an image's quadratic. The steps of two frames and the camera's clock move the pose at its time."""
+    def _add(
+        self, arrow: Arrow, x: Clocked, camera: int, term: PointNormalTerm, at: Moment, turned: tuple[Float, Float]
+    ) -> None:
+        """Add an image's quadratic. The steps of two frames and the camera's clock move the pose at its time; `turned`
+        are the camera's place (4, 4) and the derivative (6, 3) of its twist by its turn."""
         (t, u), (by_t, by_u), D = at.frames, at.by_frame, x.track.pose_dof
         posed = Posed(self.body, at.pose)
         energy, points, rows = term.rows(posed)
-        twist = _twist(x, camera)
-        by_twist = by_camera(se3.exp(twist) @ self.places[camera], points.at(posed), rows.gradient)
-        by_turn = by_twist @ se3.left_jacobian(twist)[:, :3]
+        by_turn = by_camera(turned[0], points.at(posed), rows.gradient) @ turned[1]
         gradient, hessian = normal_equations(posed, points, rows, by_turn)
         arrow.value += energy
         arrow.add_pose(t, by_t.T @ gradient[:D], by_t.T @ hessian[:D, :D] @ by_t)
