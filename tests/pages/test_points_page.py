@@ -168,7 +168,7 @@ def test_calibration_goes_on_with_the_clicks(tmp_path: Path) -> None:
     clicks = {c.name: {f"p{k}": p for k, p in enumerate(c.project(places)[0].tolist())} for c in rig}
     with running(tmp_path, *BEGIN, "--click", "lenses", "--lens-of", "lenses", "--lens", "brown") as (url, process):
         assert "error" not in asked(url, "/go", json.dumps({"clicks": clicks}))[1]
-        _, told = process.communicate(timeout=120)
+        _, told = process.communicate(timeout=600)
         assert process.returncode == 0, told
     assert (tmp_path / "rig" / "calibration.html").is_file()
     found = read_rig(tmp_path / "rig" / "Calib.toml")
