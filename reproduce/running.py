@@ -12,7 +12,10 @@ from typing import NotRequired, Protocol, TypedDict, TypeVar
 from twistcap.errors import InputError
 from twistcap.evaluate.metrics import Row
 
-_THREADS = ("TWISTCAP_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_THREADS = (
+    "TWISTCAP_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS",
+    "OPENCV_FOR_THREADS_NUM",
+)  # fmt: skip
 
 _T = TypeVar("_T")
 
@@ -39,7 +42,7 @@ def one_thread_processes(workers: int) -> Generator[ProcessPoolExecutor]:
     """Fresh processes of one thread each: numerical libraries read their thread numbers when they are loaded."""
     with _environment(dict.fromkeys(_THREADS, "1")):
         context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers, context, initializer=_one_thread_for_images) as pool:
+        with ProcessPoolExecutor(workers, context) as pool:
             try:
                 yield pool
             except BaseException:
@@ -68,12 +71,6 @@ def over_seeds(work: Callable[[int], _T], seeds: Sequence[int], tell: Tell, id: 
             found[waiting[future]] = future.result()
             tell(f"{id}, seed {waiting[future]}", done, len(seeds))
     return [found[seed] for seed in seeds]
-
-
-def _one_thread_for_images() -> None:
-    import cv2
-
-    cv2.setNumThreads(1)  # it has no environment variable of its own
 
 
 @contextmanager

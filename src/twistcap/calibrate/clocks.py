@@ -91,7 +91,7 @@ def _evidence(a: Motion, b: Motion) -> Float:
     With the likeness s = 2 Σ a·b / Σ (|a|² + |b|²) of n independent numbers this is −½ n log(1 − s²), as for a
     correlation; nothing is subtracted, since at the right offset also the means are equal.
     """
-    from scipy.signal import correlate  # half a second, which only those wait who need it
+    from scipy.signal import correlate  # slow to import
 
     mask_a, mask_b = a.known.astype(float), b.known.astype(float)
     both = correlate(mask_a, mask_b, method="fft").round()

@@ -103,7 +103,7 @@ def _speed(values: Float, result: Result) -> Float:
 
 def _within(event: Event, times: Float, signal: Float, span: float) -> Float:
     """Times in one run of known frames; `span` is the range of the signal in all."""
-    from scipy.signal import find_peaks  # half a second, which only those wait who need it
+    from scipy.signal import find_peaks  # slow to import
 
     if event.condition in ("maximum", "minimum"):
         upward = signal if event.condition == "maximum" else -signal

@@ -97,7 +97,7 @@ def noise_cutoff(values: Float, sigmas: Float, rate: float, known: Bool) -> floa
     noise, so that both are equal where it is twice the noise. The answer is within `BOUNDS`. Raises InputError where
     the sigma of a known frame is not finite.
     """
-    from scipy.signal import welch  # half a second, which only those wait who need it
+    from scipy.signal import welch  # slow to import
 
     least, most = BOUNDS[0], max(min(BOUNDS[1], _MOST * rate), BOUNDS[0])
     if not np.isfinite(sigmas[known]).all():

@@ -193,7 +193,7 @@ def _heading(poses: Sequence[Pose], rate: float, known: Bool) -> Float:
 def _events(times: Float, ahead: Float, direction: int) -> Float:
     """Times at which a foot that is `ahead` (N,) m of the pelvis comes to the floor (direction 1, after each farthest
     place in front) or leaves it (−1, before each farthest place behind)."""
-    from scipy.signal import find_peaks  # half a second, which only those wait who need it
+    from scipy.signal import find_peaks  # slow to import
 
     speed = np.gradient(ahead, times)
     backward = speed[speed < 0]

@@ -20,7 +20,7 @@ def butterworth(values: Float, rate: float, cutoff: float, known: Bool | None = 
     filtered by themselves; frames that are not known are NaN, and so are runs of fewer than 12 frames. Raises
     InputError for a cutoff that is not between 0 and half the rate.
     """
-    from scipy.signal import butter, sosfiltfilt  # half a second, which only those wait who need it
+    from scipy.signal import butter, sosfiltfilt  # slow to import
 
     if not 0 < cutoff < rate / 2:
         most = f"above 0 and below {rate / 2:.3g} Hz"

@@ -48,8 +48,8 @@ class LimbRule(Checked):
         unseen: how much less of it is seen of late than usually, from which on it may be elsewhere, in full view.
         gain, share: nats by which the pictures must favour it elsewhere, and the least fraction of what is usual.
         less, plenty: by how much less it must lack, or its contour points disagree; or the evidence that it must gain,
-            as a fraction of what is usual: the contour of a limb in the background's colours says little anywhere. But
-            it may not disagree more by that much: the limb of somebody alike is elsewhere, and no contour agrees there.
+            as a fraction of what is usual: the contour of a limb in the background's colours says little anywhere.
+            But it may not disagree more, by `less`: the limb of somebody else may be there.
         clear: the least sum of that and of the evidence that it gains, as a fraction of what is usual.
         many: poses of the limb anywhere within its limits that are judged roughly.
         climbing, tries: how many are kept of the roughly best, in sharp and in blurred pictures, and places that are

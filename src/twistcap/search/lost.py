@@ -8,6 +8,7 @@ as strong as it usually is; else it is nowhere, and its pose is held.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -341,17 +342,15 @@ class LostBody(Checked):
         def standing(h: Hypothesis) -> float:
             return h.nats - usual * self._too_fast(h.pose, last, problem.frame.time)
 
-        def ratio(h: Hypothesis) -> float:
-            return self._ratio(known, evidence, h, usually)
-
+        ratio = partial(self._ratio, known, evidence, usually=usually)
         worth = [h for h in self._modes(known, problem, placing, surely or last) if ratio(h) >= self.worth]
         near = [placing.hypothesis(pose) for pose in (problem.start, last.pose)]
         fitted = sorted((self._fitted(problem, evidence, h) for h in [*worth, *near]), key=standing, reverse=True)
         for h in [*fitted[: self.limbed], *placing.apart(fitted)[1:2]]:
             fitted.append(self._fitted(problem, evidence, self._with_limbs_placed(known, evidence, h)))
         best = max(fitted, key=standing)
-        clear = [h for h in fitted if ratio(h) >= max(self.accepted, ratio(best) - self.better)]
-        best = max(placing.nearer(clear, best, (surely or last).pose) or [best], key=standing)
+        nearer, clear = placing.nearer(fitted, best, (surely or last).pose), ratio(best) - self.better
+        best = max([h for h in nearer if ratio(h) >= max(self.accepted, clear)] or [best], key=standing)
         refined = placing.refined(best)
         if refined.nats > best.nats:
             best = max(best, self._fitted(problem, evidence, refined), key=standing)

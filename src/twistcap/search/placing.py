@@ -184,11 +184,11 @@ class Placing:
                 kept.append(h)
         return kept
 
-    def nearer(self, clear: Sequence[Hypothesis], best: Hypothesis, seen: Pose) -> list[Hypothesis]:
-        """Those of some that are seen clearly that stand nearer than the best to where the body was seen: the best may
-        be another body, which is nearer to a camera, covers more pixels, and so has more evidence.
+    def nearer(self, hypotheses: Sequence[Hypothesis], best: Hypothesis, seen: Pose) -> list[Hypothesis]:
+        """Those that stand nearer than the best to where the body was seen. The best may be another body: one that is
+        nearer to a camera covers more pixels, and so has more evidence.
         """
-        return [h for h in clear if away(h.pose, seen) < away(best.pose, seen) - self.rule.apart]
+        return [h for h in hypotheses if away(h.pose, seen) < away(best.pose, seen) - self.rule.apart]
 
     def refined(self, h: Hypothesis) -> Hypothesis:
         """The best of draws about a hypothesis, one branch of the body after the other."""

@@ -78,7 +78,7 @@ def _silhouette(posed: Posed, camera: Camera, margin: int) -> Float:
 
 def _by_shift(nats: AnyArray, silhouette: Float, farthest: int) -> Float:
     """(2 farthest + 1, 2 farthest + 1) sum of the nats under the silhouette, shifted by (row, column) − farthest."""
-    from scipy.signal import fftconvolve  # half a second, which only those wait who need it
+    from scipy.signal import fftconvolve  # slow to import
 
     return fftconvolve(nats.astype(float), silhouette[::-1, ::-1], mode="full")[
         nats.shape[0] - 1 : nats.shape[0] + 2 * farthest, nats.shape[1] - 1 : nats.shape[1] + 2 * farthest

@@ -133,7 +133,7 @@ def _placed(
 def _correlations(a: Float, b: Float, overlap: int) -> Curve:
     """Pearson's correlation of b shifted by k samples with a, over what they have in common, for all k that leave
     `overlap` samples. It is lowered for short overlaps: by chance these correlate more."""
-    from scipy.signal import correlate  # half a second, which only those wait who need it
+    from scipy.signal import correlate  # slow to import
 
     overlap = min(overlap, len(a), len(b))
     one = correlate(np.ones(len(a)), np.ones(len(b)), method="fft").round()

@@ -95,7 +95,7 @@ def _off(shown: Float, seen: Float, shift: float) -> Float:
 
     NaN where that is not known, and near both ends, so that the same numbers count at all offsets.
     """
-    from scipy.interpolate import CubicSpline  # a fifth of a second, which only those wait who need it
+    from scipy.interpolate import CubicSpline  # slow to import
 
     margin, numbers, known = int(_WIDEST), np.arange(len(seen)), np.isfinite(shown)
     at = np.clip(numbers + shift, 0, len(seen) - 1)
