@@ -81,7 +81,7 @@ ACCURATE = FlowSettings()
 FAST_PRESET = replace(
     ACCURATE, factor=0.5, least_size=12, finest=0.5, warps=2, inner=2, sweeps=6,
     search=SearchSettings(
-        step=5, half=2, turn_deg=20.0, most_apart=16.0, rounds=2, polish=0, draws=6, loops=1, every=3
+        half=2, turn_deg=20.0, apart=0.003, most_apart=16.0, rounds=2, polish=0, draws=6, loops=2, every=3
     ),
 )  # fmt: skip
 PRESETS: dict[str, FlowSettings] = {"accurate": ACCURATE, "fast": FAST_PRESET}
