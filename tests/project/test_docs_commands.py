@@ -41,6 +41,7 @@ QUICK = {
 result, and a file in place of a server."""
 ELSEWHERE = {
     "README.md: refine ": "a track with its images, as on docs/how-to/refine.md",
+    "README.md: body fit ": "the same on docs/how-to/fit-a-body.md",
     "export out/walk/result.h5 --to glb --into": "needs a character of others; tests/io/test_animation.py",
     "export out/walk/result.h5 --to bvh --into": "the same",
     "init ": "waits for clicks; tests/pages/test_init_page.py",
@@ -102,6 +103,9 @@ def test_each_command_is_run_or_has_its_reason() -> None:
     assert not set(ELSEWHERE) - {elsewhere(page, line) for page, line in lines}
     named = re.findall(r"tests/[\w/]+\.py", " ".join(ELSEWHERE.values()))
     assert named and not [path for path in named if not (ROOT / path).is_file()]
+    for page, line in lines:
+        [there] = re.findall(r"^the same on (.+)", ELSEWHERE.get(elsewhere(page, line) or "", "")) or [None]
+        assert there is None or line.removeprefix("twistcap ") in of_twistcap(ROOT / there), line
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,7 @@ def scene() -> tuple[Capture, list[Frame]]:
     root = se3.exp(np.r_[0.0, 0.0, 2.4, 0.0, 0.0, 0.0])
     low = Posed(body, Pose(root, q)).vertices[:, 2].min()
     root[:3, 3] = walk[GAP[0] - 1].root[:3, 3] * (1.0, 1.0, 0.0) + (4.0, 0.3, -low)
-    poses = [*walk, *[Pose(root, q)] * 6]
+    poses = [*walk, *[Pose(root, q)] * 4]
     made = capture(StudioConfig(seed=2, frames=len(poses), fps=30.0, dropped=((GAP[0], GAP[-1]),)), body, poses)
     return made, list(made.frames())
 

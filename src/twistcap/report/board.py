@@ -34,7 +34,8 @@ def write_board(board: Board, path: Path, paper: str = "a4") -> Path:
     left, low = 0.5 * (width - across), _FOOT + 0.5 * (height - _FOOT - down)
     pixels = int(np.clip(round(20e3 * board.square), 60, 1200))  # about 500 dpi
     extent = (left, left + across, low, low + down)
-    axes.imshow(board.image(pixels), extent=extent, cmap="gray", vmin=0, vmax=255, interpolation="none", aspect="auto")
+    picture = np.repeat(board.image(pixels)[..., None], 3, axis=2)  # a map of colours would take twice the time
+    axes.imshow(picture, extent=extent, interpolation="none", aspect="auto")
     axes.set(xlim=(0, width), ylim=(0, height))
     _foot(axes, board)
     with replacing(path, "board") as part:
