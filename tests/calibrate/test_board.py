@@ -40,8 +40,8 @@ def photographed(board: Board, inverted: bool = False) -> tuple[np.ndarray, np.n
 
 
 def smaller(image: np.ndarray) -> np.ndarray:
-    """Of 0.6 times the width and height: where it is enough that a board is found."""
-    return cv2.resize(image, None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA)
+    """Of half the width and height: where it is enough that a board is found."""
+    return cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
 
 
 @pytest.mark.parametrize("text", BOARDS)

@@ -119,7 +119,7 @@ def test_videos_of_unlike_rates_that_were_started_by_hand(tmp_path: Path, capsys
         K = np.array([[430.0, 0, 239.5], [0, 430.0, 179.5], [0, 0, 1]])
         cameras.append(Camera(name, K, look_at(eye, [0, 0, 1.0]), size))
         with VideoWriter(tmp_path / f"{name}.mp4", fps=fps) as writer:
-            for k in range(4 * fps):
+            for k in range(3 * fps):
                 writer.write(_picture(cameras[-1], at(start + k / fps), board.image(40), board.square / 40))
     videos = [word for c in "ab" for word in ("--videos", f"{c}={tmp_path / c}.mp4")]
     told = document(capsys, "calibrate", tmp_path / "rig", "--board", text, "--lens", "brown", *videos)
