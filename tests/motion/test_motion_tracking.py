@@ -31,9 +31,9 @@ def test_without_an_image_the_answer_is_the_prediction() -> None:
     frames = [replace(f, images=tuple(None for _ in f.images)) if f.index in blind else f for f in scene.frames()]
     model = build(scene.body, scene.rig, Settings(predictor="motion", motion="scaled"), motions=library)
     found = list(tracked(frames, model, scene.first_pose))
-    seen = [Moment(e.time, e.pose) for e in found[:8]]
+    seen, predictor = [Moment(e.time, e.pose) for e in found[:8]], motion_predictor("scaled", library, scene.body)
     for k in sorted(blind):
-        expected, _ = motion_predictor("scaled", library, scene.body).predict(seen, frames[k].time)
+        expected, _ = predictor.predict(seen, frames[k].time)
         assert (found[k].status, found[k].predicted) == ("no_images", "motion")
         np.testing.assert_allclose(found[k].pose.q, expected.pose.q, atol=1e-9)
         np.testing.assert_allclose(found[k].pose.root, expected.pose.root, atol=1e-9)
