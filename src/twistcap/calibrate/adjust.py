@@ -99,7 +99,6 @@ class Setup:
         solids: "board", "scene", or both.
         gauge: camera that does not move; None where `still` or the scene hold the world.
         still: moment of a board that does not move.
-        fixed_lenses: whether the lenses are known.
         clocks: whether each camera's clock is estimated, but for the gauge's.
     """
 
@@ -108,7 +107,6 @@ class Setup:
     solids: Mapping[str, Solid]
     gauge: int | None = 0
     still: int | None = None
-    fixed_lenses: bool = False
     clocks: bool = False
 
     @cached_property
@@ -133,7 +131,7 @@ class Setup:
         blocks |= {f"shape of {name}": Vector(np.zeros(len(solid.sigmas))) for name, solid in self.solids.items()}
         here = {s.camera for s in self.sightings}
         free = [f"place {c}" for c in sorted(here) if c != self.gauge]
-        free += [] if self.fixed_lenses else [f"lens {c}" for c in sorted(here)]
+        free += [f"lens {c}" for c in sorted(here)]
         free += [f"clock {c}" for c in self.estimated_clocks]
         free += [f"shape of {name}" for name in self.solids]
         longest = dict.fromkeys(["boards", *free], 0.3)
@@ -152,9 +150,8 @@ class Setup:
         terms = [self._term([own[n] for n in group], sigmas, reach) for group in self.groups]
         shapes = [BlockGaussian(f"shape of {n}", np.zeros_like(x.sigmas), x.sigmas) for n, x in self.solids.items()]
         lenses = [KnownLens(self.guess.lenses[c], f"lens {c}") for c in sorted({s.camera for s in self.sightings})]
-        known = [] if self.fixed_lenses else lenses
         clocks = [BlockGaussian(f"clock {c}", np.zeros(1), np.array([_LATE])) for c in self.estimated_clocks]
-        return BlockProblem([*terms, *shapes, *known, *clocks], reach=0 if self.moments else None)
+        return BlockProblem([*terms, *shapes, *lenses, *clocks], reach=0 if self.moments else None)
 
     @cached_property
     def groups(self) -> list[list[int]]:
@@ -243,10 +240,6 @@ def _by_sighting(setup: Setup, x: Variables) -> list[tuple[Sighting, Float]]:
     return list(zip(setup.sightings, _residuals(setup, x), strict=True))
 
 
-def _cameras(setup: Setup) -> range:
-    return range(len(setup.guess.lenses))
-
-
 def _right(setup: Setup, x: Variables, sigmas: Float) -> tuple[Setup, list[Bool]]:
     """The sightings with enough points that fit, and which points those are."""
     parts = _by_sighting(setup, x)
@@ -256,7 +249,7 @@ def _right(setup: Setup, x: Variables, sigmas: Float) -> tuple[Setup, list[Bool]
 
 
 def _reached(setup: Setup, x: Variables) -> Guess:
-    cameras = _cameras(setup)
+    cameras = range(len(setup.guess.lenses))
     boards = {m: x[block].poses[k].root for m, (block, k) in setup.frames.items() if m != SCENE}
     numbers = tuple(x[f"lens {c}"].values for c in cameras)
     places = tuple(x[f"place {c}"].camera.T_cam_world for c in cameras)
@@ -275,7 +268,7 @@ def _outcome(setup: Setup, x: Variables, sigmas: Float, kept: list[Bool], energy
         own = slice(x.slices[name].start - start, x.slices[name].stop - start)
         return shared[own, own]
 
-    cameras = _cameras(setup)
+    cameras = range(len(setup.guess.lenses))
     shapes = {name: x[f"shape of {name}"].values for name in setup.solids}
     return Adjustment(
         _reached(setup, x), setup.sightings, tuple(kept), sigmas, setup.solids, shapes,

@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter1d
 from twistcap import se3
 from twistcap.arrays import Bool, Float
 from twistcap.calibrate.sightings import LONE, Sighting, by_camera
-from twistcap.calibrate.start import LensFit, likeliest_places
+from twistcap.calibrate.start import LensFit, best_places
 from twistcap.calibrate.terms import Solid
 
 _RATE = 60.0  # 1/s, at which signals are compared
@@ -125,8 +125,8 @@ def _motion(own: Sequence[Sighting], fit: LensFit, solid: Solid, times: Float) -
     count = int(np.ceil((times[-1] + FARTHEST) * _RATE)) + 1
     values, known = np.zeros((count, 6)), np.zeros(count, np.bool_)
     own = sorted(own, key=lambda s: s.moment)
-    places = zip((times[s.moment] for s in own), likeliest_places(own, solid, fit), strict=True)
-    seen = [(time, T @ se3.transform(np.eye(3), centre)) for time, T in places if T is not None]
+    places = zip(own, best_places(own, solid, fit.lens, fit.numbers), strict=True)
+    seen = [(times[s.moment], T @ se3.transform(np.eye(3), centre)) for s, (_, T) in places if T is not None]
     for (before, first), (after, second) in pairwise(seen):
         velocity = np.array([*np.repeat(reach, 3), 1, 1, 1]) * _step(first, second) / (after - before)
         if after - before <= FARTHEST and max(np.linalg.norm(velocity[:3]), np.linalg.norm(velocity[3:])) < _FASTEST:

@@ -87,11 +87,6 @@ def _placed(numbers: Float, s: Sighting, xy: Float, solid: Solid) -> list[Float]
     return [T for T in out if np.all(np.isfinite(T)) and np.all(se3.apply(T, points)[:, 2] > 0.0)]
 
 
-def likeliest_places(own: Sequence[Sighting], solid: Solid, fit: LensFit) -> list[Float | None]:
-    """`T_cam_board` by each sighting and a known lens; None where it means none."""
-    return [T for _, T in _best_places(own, solid, fit.lens, fit.numbers)]
-
-
 def chained(sightings: Sequence[Sighting], fits: Sequence[LensFit], solid: Solid, names: Sequence[str]) -> Guess:
     """All cameras and boards in the axes of one camera, along the pairs that agree in most moments.
 
@@ -117,7 +112,7 @@ def _fit(few: Sequence[Sighting], solid: Solid, lens: Lens, name: str) -> LensFi
         starts = _brown_starts(few, solid, lens)
     else:
         starts = [_plain(lens, lens.side / opening) for opening in _OPENINGS]  # px for each rad
-    best = min(starts, key=lambda numbers: float(np.mean([off for off, _ in _best_places(few, solid, lens, numbers)])))
+    best = min(starts, key=lambda numbers: float(np.mean([off for off, _ in best_places(few, solid, lens, numbers)])))
     fit = _fit_from(few, solid, lens, best)
     if fit is None:
         why = "no lens explains its pictures of the board; check --board, and film it again"
@@ -125,8 +120,9 @@ def _fit(few: Sequence[Sighting], solid: Solid, lens: Lens, name: str) -> LensFi
     return fit
 
 
-def _best_places(own: Sequence[Sighting], solid: Solid, lens: Lens, numbers: Float) -> list[tuple[float, Float | None]]:
-    """Of the places that each sighting may mean, the least distance of its points, px, and that place."""
+def best_places(own: Sequence[Sighting], solid: Solid, lens: Lens, numbers: Float) -> list[tuple[float, Float | None]]:
+    """Of the places `T_cam_board` that each sighting may mean, the least distance of its points, px, and that place;
+    None where it means none."""
     xy = lens.normalised(numbers, np.concatenate([np.zeros((0, 2)), *(s.pixels for s in own)]))
     ways = [_placed(numbers, s, plane, solid) for s, plane in zip(own, _by_sighting(xy, own), strict=True)]
     pairs = [(s, T) for s, places in zip(own, ways, strict=True) for T in places]
@@ -143,7 +139,7 @@ def _fit_from(few: Sequence[Sighting], solid: Solid, lens: Lens, numbers: Float)
     """The lens, begun with these numbers; and begun again, where it shows a board tilted the other way."""
     fit: LensFit | None = None
     for _ in range(_TILTED):
-        ways = zip(few, _best_places(few, solid, lens, numbers), strict=True)
+        ways = zip(few, best_places(few, solid, lens, numbers), strict=True)
         boards = {s.moment: T for s, (_, T) in ways if T is not None}
         if len(boards) < _FEWEST or (fit is not None and not _tilted(boards, fit.adjustment.guess.boards)):
             return fit
