@@ -20,7 +20,7 @@ from twistcap.adjust.body_fit.problem import FitProblem, Freedom, Sculpted, rows
 from twistcap.adjust.body_fit.symmetry import alike, mirrored_vertices, symmetric
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
-from twistcap.body.shape import joint_origins, segment_axes
+from twistcap.body.shape import segment_axes
 from twistcap.camera import pinhole
 from twistcap.errors import InputError
 from twistcap.io.calibration import write_rig
@@ -180,7 +180,7 @@ def test_a_bumpy_body_becomes_its_mirrored_mean(body) -> None:
     assert np.abs(mean.vertices - mean.vertices[partner] * [1, -1, 1]).max() < 1e-12
     error = [np.linalg.norm(b.vertices - body.vertices, axis=1).mean() for b in (rough, mean)]
     assert error[1] < 0.85 * error[0]
-    centres = joint_origins(mean)
+    centres = mean.joint_origins
     right, left = (centres[body.segment(f"tibia_{s}")] for s in "rl")
     assert np.allclose(right * [1, -1, 1], left)
 

@@ -19,7 +19,6 @@ from twistcap.body import Pose, Posed, rescaled
 from twistcap.body.anny import _check_surface
 from twistcap.body.gltf import load_glb, save_glb
 from twistcap.body.humanoid import humanoid
-from twistcap.body.shape import joint_origins
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.errors import InputError
 from twistcap.studio import StudioConfig, capture
@@ -62,7 +61,7 @@ def test_rates_are_the_derivatives_of_the_model() -> None:
     old, new = model.bodies(np.stack([at, at + step]))
     for rates, moved in (
         (vertices, new.vertices - old.vertices),
-        (joints, joint_origins(new) - joint_origins(old)),
+        (joints, new.joint_origins - old.joint_origins),
         (marks, new.landmarks.points - old.landmarks.points),
     ):
         assert np.abs(np.tensordot(step, rates, 1) - moved).max() < 2e-3 * np.abs(moved).max()
@@ -79,7 +78,7 @@ def test_steps_stay_within_the_bounds_and_are_exact() -> None:
     there = model.bodies(np.array([[1.0, -0.4, 0.2]]))[0]
     moved = deformed(body, *motions)
     assert np.abs(moved.vertices - there.vertices).max() < 1e-9
-    assert np.abs(joint_origins(moved) - joint_origins(there)).max() < 1e-9
+    assert np.abs(moved.joint_origins - there.joint_origins).max() < 1e-9
     assert np.abs(moved.landmarks.points - there.landmarks.points).max() < 1e-12
     assert build.summary({"legs": -0.4}) == {"tall": 0.8, "legs": -0.4, "stout": 0.0}
 

@@ -11,7 +11,6 @@ from twistcap import se3
 from twistcap.body.humanoid import humanoid
 from twistcap.body.rig import SkinnedMesh, build_body
 from twistcap.body.rig_presets import best_fit, preset_spec
-from twistcap.body.shape import joint_origins
 from twistcap.errors import InputError
 
 TO_FILE = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])  # ours to glTF: y up, facing z
@@ -41,7 +40,7 @@ def mesh_of(rig: str, turn: float = 0.0) -> SkinnedMesh:
     weights = np.zeros((len(body.vertices), len(body.segment_names)))
     np.add.at(weights, (np.arange(len(weights))[:, None], body.skin_segments), body.skin_weights)
     joints = tuple(map(named, body.segment_names))
-    frames = se3.transform(np.eye(3), joint_origins(body) @ C.T)
+    frames = se3.transform(np.eye(3), body.joint_origins @ C.T)
     return SkinnedMesh("x", "x.glb", joints, body.segment_parent, frames, body.vertices @ C.T, body.faces, weights)
 
 

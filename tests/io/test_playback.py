@@ -18,7 +18,6 @@ from twistcap.arrays import Float
 from twistcap.body import Body, Pose
 from twistcap.body._gltf_buffers import Buffers
 from twistcap.body.humanoid import humanoid
-from twistcap.body.shape import joint_origins
 from twistcap.estimate import Estimate
 from twistcap.io.playback import playback
 from twistcap.io.result import ResultWriter, read_result
@@ -52,7 +51,7 @@ def keys(path: Path) -> tuple[Float, Any]:
 
 def hips(poses: Sequence[Pose]) -> Float:
     """(T, 3) the joint of the pelvis, in our world."""
-    return np.array([pose.root[:3, :3] @ joint_origins(BODY)[0] + pose.root[:3, 3] for pose in poses])
+    return np.array([pose.root[:3, :3] @ BODY.joint_origins[0] + pose.root[:3, 3] for pose in poses])
 
 
 def roots(path: Path) -> Float:

@@ -16,7 +16,6 @@ from support.commands import refusal, run
 from twistcap.arrays import Float
 from twistcap.body import Body, Posed
 from twistcap.body.humanoid import humanoid
-from twistcap.body.shape import joint_origins
 from twistcap.estimate import Estimate
 from twistcap.io.result import ResultWriter, read_result
 from twistcap.studio.motion import gait
@@ -49,7 +48,7 @@ def result(tmp_path: Path) -> Path:
 def heads(body: Body, posed: Posed) -> Float:
     """(S, 3) the proximal joints, m."""
     T = posed.segment_transforms
-    return np.einsum("sij,sj->si", T[:, :3, :3], joint_origins(body)) + T[:, :3, 3]
+    return np.einsum("sij,sj->si", T[:, :3, :3], body.joint_origins) + T[:, :3, 3]
 
 
 def test_openusd_plays_the_motion_of_joints_and_skin(usd: Any, result: Path, tmp_path: Path) -> None:
@@ -64,9 +63,7 @@ def test_openusd_plays_the_motion_of_joints_and_skin(usd: Any, result: Path, tmp
     assert tuple(skeleton.GetJointNamesAttr().Get()) == BODY.segment_names
     query = cache.GetSkelQuery(skeleton)
     assert query and query.HasBindPose() and query.HasRestPose()
-    np.testing.assert_allclose(
-        np.array(query.ComputeJointSkelTransforms(0, True))[:, 3, FROM_GLTF], joint_origins(BODY)
-    )
+    np.testing.assert_allclose(np.array(query.ComputeJointSkelTransforms(0, True))[:, 3, FROM_GLTF], BODY.joint_origins)
     mesh = usd.UsdGeom.Mesh(stage.GetPrimAtPath("/person/body"))
     skin = cache.GetSkinningQuery(mesh.GetPrim())
     motion = stage.GetPrimAtPath("/person/motion")

@@ -15,7 +15,7 @@ from twistcap.body import Body, Landmarks
 from twistcap.body.binding import Binding, ramp, strongest, unposed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.rig import turn_between
-from twistcap.body.shape import joint_origins, joints_at
+from twistcap.body.shape import joints_at
 
 _RING = 24  # vertices of a slice
 _DOWN = np.array([0.0, 0.0, -1.0])
@@ -162,7 +162,7 @@ def _limb_fractions(J: Mapping[str, Float], points: Float, part: Int, side: str,
 
 def _rejointed(skeleton: Body, centres: Float) -> Body:
     """The skeleton with its joints at new centres (S, 3); landmarks move with their segment's joint."""
-    old, marks = joint_origins(skeleton), skeleton.landmarks
+    old, marks = skeleton.joint_origins, skeleton.landmarks
     old[skeleton.segment_joint < 0] = 0.0
     marks = Landmarks(marks.names, marks.segments, marks.points + (centres - old)[marks.segments])
     return replace(skeleton, twists=joints_at(skeleton, dict(enumerate(centres))), landmarks=marks)

@@ -14,7 +14,6 @@ from twistcap.arrays import Float
 from twistcap.body._gltf_buffers import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, EXTRAS, TO_REST, Packer, noted, quaternions
 from twistcap.body.kinematics import Pose, Posed, vertex_normals
 from twistcap.body.model import Body
-from twistcap.body.shape import joint_origins
 
 
 def save_glb(
@@ -29,7 +28,7 @@ def save_glb(
     """
     gltf = gl.GLTF2(asset=gl.Asset(version="2.0", generator="twistcap", extras={EXTRAS: _extras(body)}), scene=0)
     pack = Packer(gltf)
-    origins = joint_origins(body)
+    origins = body.joint_origins
     _add_nodes(gltf, body, origins)
     _add_skin(gltf, pack, origins)
     _add_mesh(gltf, pack, body)

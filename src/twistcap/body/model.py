@@ -139,7 +139,7 @@ class Body:
 
     @cached_property
     def joint_origins(self) -> Float:
-        """(S, 3) see `twistcap.body.shape.joint_origins`."""
+        """(S, 3) rest-pose positions of all segments' proximal joints, m, see `twistcap.body.shape.joint_origin`."""
         from twistcap.body.shape import joint_origin
 
         return np.array([joint_origin(self, s) for s in range(len(self.segment_names))]).reshape(-1, 3)

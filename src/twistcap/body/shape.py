@@ -37,13 +37,8 @@ def rescaled(
 
 def segment_axes(body: Body) -> tuple[Float, Float]:
     """Origin (S, 3) and unit axis (S, 3) of each segment in the rest pose: from its joint to the next one below."""
-    origins = joint_origins(body)
+    origins = body.joint_origins
     return origins, np.array([_axis_from(body, s, origins) for s in range(len(origins))]).reshape(-1, 3)
-
-
-def joint_origins(body: Body) -> Float:
-    """(S, 3) rest-pose positions of all segments' proximal joints, m, see `joint_origin`."""
-    return body.joint_origins
 
 
 def joint_origin(body: Body, segment: int) -> Float:
@@ -79,7 +74,7 @@ def marks_of(body: Body, segment: int) -> Int:
     """Landmarks (indices) of a segment's joint: on one of its two segments and at its centre."""
     marks = body.landmarks
     beside = (marks.segments == segment) | (marks.segments == body.segment_parent[segment])
-    distance = np.linalg.norm(marks.points - joint_origins(body)[segment], axis=1)
+    distance = np.linalg.norm(marks.points - body.joint_origins[segment], axis=1)
     return np.flatnonzero(beside & (distance < _AT_CENTRE)).astype(np.int32)
 
 
@@ -120,7 +115,7 @@ def warped(body: Body, maps: Float) -> Body:
     marks = body.landmarks
     points = se3.apply(maps[marks.segments], marks.points[:, None])[:, 0]
     jointed = np.flatnonzero(body.segment_joint >= 0).tolist()
-    moved = {s: se3.apply(maps[body.segment_parent[s]], joint_origins(body)[s, None])[0] for s in jointed}
+    moved = {s: se3.apply(maps[body.segment_parent[s]], body.joint_origins[s, None])[0] for s in jointed}
     marks = Landmarks(marks.names, marks.segments, points)
     return replace(body, vertices=vertices, twists=joints_at(body, moved), landmarks=marks)
 
@@ -261,7 +256,7 @@ def line_crossings(triangles: Float, origin: Float, direction: Float) -> Float:
 
 def joint_distances(body: Body) -> dict[str, float]:
     """Distance (m) from a segment's joint to that of its child, for segments with one child."""
-    out, origins = dict[str, float](), joint_origins(body)
+    out, origins = dict[str, float](), body.joint_origins
     for s, name in enumerate(body.segment_names):
         children = np.flatnonzero(body.segment_parent == s)
         if body.segment_joint[s] >= 0 and len(children) == 1:

@@ -18,7 +18,6 @@ from twistcap.arrays import AnyArray, Float
 from twistcap.body import Body
 from twistcap.body._gltf_buffers import TO_REST
 from twistcap.body.gltf_write import local_motions
-from twistcap.body.shape import joint_origins
 from twistcap.errors import InputError
 from twistcap.io.files import replacing
 from twistcap.io.playback import Playback
@@ -73,7 +72,7 @@ def _joint_paths(pxr: Any, body: Body) -> list[str]:
 
 def _add_skeleton(pxr: Any, stage: Any, body: Body, joints: list[str]) -> Any:
     skeleton = pxr.UsdSkel.Skeleton.Define(stage, "/person/skeleton")
-    origins, above = joint_origins(body) @ TO_REST, body.segment_parent
+    origins, above = body.joint_origins @ TO_REST, body.segment_parent
     offsets = origins - np.where((above >= 0)[:, None], origins[above], 0.0)
     skeleton.CreateJointsAttr(joints)
     skeleton.CreateJointNamesAttr(list(body.segment_names))
@@ -109,7 +108,7 @@ def _add_motion(pxr: Any, stage: Any, body: Body, joints: list[str], played: Pla
     motion.CreateJointsAttr(joints)
     motion.CreateScalesAttr([pxr.Gf.Vec3h(1.0)] * len(joints))
     turns, places = motion.CreateRotationsAttr(), motion.CreateTranslationsAttr()
-    rotations, translations = local_motions(body, joint_origins(body), played.poses)
+    rotations, translations = local_motions(body, body.joint_origins, played.poses)
     for code, rotation, translation in zip(codes.tolist(), rotations, translations, strict=True):
         turns.Set(pxr.Vt.QuatfArray([pxr.Gf.Quatf(w, x, y, z) for x, y, z, w in rotation.tolist()]), code)
         places.Set(_vectors(pxr, translation), code)

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from twistcap import se3
 from twistcap.arrays import Float, Int
 from twistcap.body import Body, Pose, Posed
-from twistcap.body.shape import joint_origins
 from twistcap.errors import check
 
 Up = Literal["y", "z"]
@@ -104,7 +103,7 @@ def rest_positions(offsets: Float, parents: ArrayLike) -> Float:
 
 def skeleton_of(body: Body, poses: Sequence[Pose], rate: float, name: str = "motion") -> SkeletonMotion:
     """The motion of a body, `rate` poses per second, as that of a skeleton: one joint per segment, z up."""
-    origins, above = joint_origins(body), body.segment_parent
+    origins, above = body.joint_origins, body.segment_parent
     offsets = origins - np.where(above[:, None] >= 0, origins[above], 0.0)
     T = np.array([Posed(body, pose).segment_transforms for pose in poses])
     positions = (T[..., :3, :3] @ origins[..., None])[..., 0] + T[..., :3, 3]

@@ -15,7 +15,6 @@ from twistcap.arrays import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Body, Posed
 from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.body.limbs import named_limbs
-from twistcap.body.shape import joint_origins
 from twistcap.camera import Camera, Rig
 from twistcap.camera.bump import bumped
 from twistcap.estimate import Estimate, Frame
@@ -41,7 +40,7 @@ Bones = tuple[Int, Float]
 
 def bones_of(body: Body) -> Bones:
     """A bone from every segment's joint to each joint below it, or to the segment's farthest landmark at the ends."""
-    origins = joint_origins(body)
+    origins = body.joint_origins
     bones: list[tuple[int, Float, Float]] = []
     for s, above in enumerate(body.segment_parent):
         if above >= 0:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from twistcap.body import Body, Pose, Posed
-from twistcap.body.shape import joint_origins
 
 HERE, REPOSITORY = Path(__file__).parent, Path(__file__).parents[3]
 
@@ -57,7 +56,7 @@ def person(path: Path, body: Body, kind: str) -> Path:
         side = segment[-2:] if segment[-2:] in words else ""
         return middle[ROLES.index(segment.removesuffix(side))].replace("*", words.get(side, ""))
 
-    origins = np.einsum("sij,sj->si", posed.segment_transforms[:, :3, :3], joint_origins(body))
+    origins = np.einsum("sij,sj->si", posed.segment_transforms[:, :3, :3], body.joint_origins)
     origins += posed.segment_transforms[:, :3, 3]
     names = [named(segment) for segment in body.segment_names]
     parents = [names[p] if p >= 0 else "" for p in body.segment_parent]

@@ -19,7 +19,7 @@ from twistcap.adjust.first_pose import girth_groups
 from twistcap.arrays import Float, Int
 from twistcap.body import Body
 from twistcap.body.model import Landmarks
-from twistcap.body.shape import joint_origins, joints_shifted, marks_of, rescaled, segment_axes
+from twistcap.body.shape import joints_shifted, marks_of, rescaled, segment_axes
 from twistcap.ranges import Checked, Count, Positive
 
 _ALIKE = 1.5  # knots, length of the correlation of two factors of cross-sections
@@ -63,7 +63,7 @@ class Fields:
 
 def places_of(body: Body) -> Motions:
     """Vertices, joint centres and landmarks in the rest pose."""
-    return body.vertices, joint_origins(body), body.landmarks.points
+    return body.vertices, body.joint_origins, body.landmarks.points
 
 
 def deformed(body: Body, vertices: Float, joints: Float, landmarks: Float) -> Body:

@@ -13,7 +13,6 @@ from twistcap.adjust.first_pose import girth_groups
 from twistcap.arrays import Float, Int
 from twistcap.body import Body
 from twistcap.body.model import partners
-from twistcap.body.shape import joint_origins
 
 _MIRROR = np.array([1.0, -1.0, 1.0])  # in the plane that parts left (+y) from right
 _APART = 0.015  # m, mean distance of mirrored pairs, at most
@@ -25,7 +24,7 @@ def symmetric(body: Body) -> Body:
     mirrored = body.vertices[partner] * _MIRROR
     if not _in_pairs(partner) or np.linalg.norm(mirrored - body.vertices, axis=1).mean() > _APART:
         return body
-    centres, marks = joint_origins(body), body.landmarks.points
+    centres, marks = body.joint_origins, body.landmarks.points
     joints = centres[partners(body.segment_names)] * _MIRROR
     landmarks = marks[partners(body.landmarks.names)] * _MIRROR
     return deformed(body, 0.5 * (mirrored - body.vertices), 0.5 * (joints - centres), 0.5 * (landmarks - marks))
