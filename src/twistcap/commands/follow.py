@@ -115,12 +115,6 @@ def held(path: Path, overwrite: bool = False) -> Result | None:
     return done if len(done) else None
 
 
-def in_use(path: Path, frames: int) -> InputError:
-    """The refusal to write where frames are."""
-    mend = "go on with --resume, replace them with --overwrite, or choose another --out"
-    return InputError(f"{path} holds {frames} tracked frames; {mend}.")
-
-
 def resumed(tracker: Tracker, path: Path) -> tuple[int, tuple[Estimate, ...]]:
     """Bring a tracker to the last saved state of a file, if it fits its settings; frames that were tracked by then, and
     those before the last of them that it corrects, in the file or not.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Annotated, Any
@@ -149,7 +150,7 @@ def _tables(study: Study, folder: Path, outcomes: dict[Any, Outcome]) -> dict[st
     with terminal.status("writing the tables"):
         tidy.write_rows(files[0], ("subject", "trial", "status", "frames", "lost", "message"), _lines(study, outcomes))
         tidy.join(files[1], head, (rows_of(trial, folder) for trial in done))
-        if tidy.parquet_is_there():
+        if find_spec("pyarrow") is not None:
             files.append(tidy.to_parquet(files[1]))
         else:
             words.print("angles.parquet is not written: pip install 'twistcap[study]' brings what it needs.")

@@ -117,7 +117,7 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
 def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Timing, Any]:
     """The views, how long it took, and what was watched of the cameras."""
     from twistcap.commands.clocks import watched_by
-    from twistcap.commands.follow import held, in_use
+    from twistcap.commands.follow import held
     from twistcap.commands.start import show_start
     from twistcap.io.provenance import made_of
     from twistcap.io.recording import body_in_words, open_recording
@@ -127,7 +127,8 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
     if done is not None and begin.resume:
         return _resumed(session, path, done, begin, lock)
     if done is not None:
-        raise in_use(path, len(done))
+        mend = "go on with --resume, replace them with --overwrite, or choose another --out"
+        raise InputError(f"{path} holds {len(done)} tracked frames; {mend}.")
     with words.status("reading the session, fitting the first pose"):
         recording = open_recording(session)
         views, made = recording.views, made_of(session, recording.views)

@@ -84,21 +84,18 @@ def number_array(value: Any, shape: tuple[int | None, ...], where: str) -> Float
     return out.astype(np.float64)
 
 
-def read_json(path: Path) -> Any:
-    """What a JSON file holds: no key twice, finite numbers, not nested without end. Raises InputError."""
-    return parsed_json(read_text(path), str(path))
-
-
 def read_json_table(path: Path) -> dict[str, Any]:
-    """`read_json` of a file whose top is a table."""
-    content = read_json(path)
+    """`parsed_json` of a file whose top is a table."""
+    content = parsed_json(read_text(path), str(path))
     if not isinstance(content, dict):
         raise InputError(f"{path}: it must be a table, {{…}}, at its top.")
     return content
 
 
 def parsed_json(text: str | bytes, source: str) -> Any:
-    """`read_json` of a text; `source` it came from stands in messages."""
+    """What a JSON text holds: no key twice, finite numbers, not nested without end. `source` it came from stands in
+    messages. Raises InputError.
+    """
     try:
         content = json.loads(text, object_pairs_hook=_without_doubles)
     except (ValueError, RecursionError) as error:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import shutil
 from collections.abc import Iterable, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -58,18 +57,13 @@ def join(path: Path, head: Sequence[str], parts: Iterable[Path]) -> None:
                 shutil.copyfileobj(file, out, 1 << 20)
 
 
-def parquet_is_there() -> bool:
-    """Whether Parquet can be written."""
-    return find_spec("pyarrow") is not None
-
-
 def to_parquet(table: Path) -> Path:
     """A CSV of `join` as Parquet beside it, block by block. Raises InputError where it cannot be written."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
     from pyarrow import parquet
 
-    words, numbers = dict.fromkeys(_WORDS, pa.dictionary(pa.int32(), pa.string())), {}
+    words = dict.fromkeys(_WORDS, pa.dictionary(pa.int32(), pa.string()))
     numbers = {"frame": pa.int64(), "stride": pa.int64(), "percent": pa.float64(), "time": pa.float64()}
     kinds = words | numbers | {"value": pa.float64(), "sigma": pa.float64()}
     read = arrow_csv.ReadOptions(block_size=_BLOCK)

@@ -16,7 +16,7 @@ from twistcap.io.cameras.storage import read_easymocap, read_opencv, write_easym
 from twistcap.io.cameras.studios import read_qualisys, read_vicon, write_qualisys, write_vicon
 from twistcap.io.cameras.tables import caliscope_names, read_caliscope, read_opencap, write_caliscope, write_opencap
 from twistcap.io.cameras.texts import read_colmap, read_projections, write_colmap, write_projections
-from twistcap.io.cameras.units import in_metres, scaled
+from twistcap.io.cameras.units import UNITS, scaled, taken_unit
 from twistcap.io.files import unwritable
 from twistcap.io.plausible import check_plausible
 
@@ -50,8 +50,10 @@ class CameraFormat:
         Raises InputError: for a damaged file, one without a size or unit that is not asked for either.
         """
         rig = self.parsed(path, asked)
-        known = asked.unit is not None or self.says_unit(path)
-        return (rig, "") if known else in_metres(rig, f"calibration {path}")
+        if asked.unit is not None or self.says_unit(path):
+            return rig, ""
+        unit, told = taken_unit(rig, f"calibration {path}")
+        return scaled(rig, UNITS[unit]), told
 
 
 def _never(path: Path) -> bool:

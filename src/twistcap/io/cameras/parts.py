@@ -28,7 +28,7 @@ class Asked:
     size: Size | None = None
 
     def metres(self, usual: float) -> float:
-        """The unit: as said, else what the format says; of a format that says none, 1, until `in_metres` tells it."""
+        """The unit: as said, else what the format says; of a format that says none, 1, until `taken_unit` tells it."""
         return usual if self.unit is None else self.unit
 
     def size_or(self, given: Size | None, where: str) -> Size:

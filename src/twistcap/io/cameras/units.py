@@ -42,12 +42,6 @@ def session_unit(text: str | None) -> Unit | None:
     return text
 
 
-def in_metres(rig: Rig, source: str) -> tuple[Rig, str]:
-    """A rig that was read as if in metres, in the unit of `taken_unit`, and that sentence. Raises InputError."""
-    unit, told = taken_unit(rig, source)
-    return scaled(rig, UNITS[unit]), told
-
-
 def toml_unit(path: Path, unit: Unit | None, key: str) -> tuple[Unit | None, str]:
     """The unit of a Calib.toml: as said, None where its file names it, else that of `taken_unit`; and that sentence.
 
