@@ -91,7 +91,7 @@ def gait_of(
     strikes = {side: _events(times, ahead[f"heel_{side}"], 1) for side in SIDES}
     toe_offs = {side: _events(times, ahead[f"toe_{side}"], -1) for side in SIDES}
     heels = {side: feet[f"heel_{side}"] for side in SIDES}
-    walk = _Walk(times, known, forward, heels, _length_sigma(body, times, poses, covariances, forward))
+    walk = _Walk(times, known, forward, heels, _length_sigma(body, poses, covariances, forward))
     strides = [s for side in SIDES for s in _strides(walk, side, strikes, toe_offs)]
     return Gait(strikes, toe_offs, tuple(sorted(strides, key=lambda s: s.start)), 1.0 / rate, _level_angle(forward))
 
@@ -244,26 +244,19 @@ def _between(times: Float, start: float, end: float) -> Float:
 
 
 def _length_sigma(
-    body: Body, times: Float, poses: Sequence[Pose], covariances: Float | None, forward: Float
+    body: Body, poses: Sequence[Pose], covariances: Float | None, forward: Float
 ) -> Callable[[str, int, int], float]:
     """Standard deviation (m) of the way of a heel between two frames, whose errors are taken as independent."""
+    if covariances is None:
+        return lambda side, first, last: 0.0
 
     def variance(side: str, frame: int) -> float:
-        assert covariances is not None
-        marks, k = body.landmarks, body.landmarks.index(f"heel_{side}")
-        posed = Posed(body, poses[frame])
-        J = (
-            forward[frame]
-            @ posed.point_jacobian(marks.segments[k : k + 1, None], np.ones((1, 1)), marks.points[k : k + 1])[0]
-        )
+        marks, posed = body.landmarks, Posed(body, poses[frame])
+        heel = [marks.index(f"heel_{side}")]
+        J = forward[frame] @ posed.point_jacobian(marks.segments[heel, None], np.ones((1, 1)), marks.points[heel])[0]
         return float(J @ covariances[frame] @ J)
 
-    def sigma(side: str, first: int, last: int) -> float:
-        if covariances is None:
-            return 0.0
-        return float(np.sqrt(variance(side, first) + variance(side, last)))
-
-    return sigma
+    return lambda side, first, last: float(np.sqrt(variance(side, first) + variance(side, last)))
 
 
 _PARAMETERS: Mapping[str, Callable[[Stride], float]] = {
