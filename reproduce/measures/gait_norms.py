@@ -14,7 +14,7 @@ from scipy.signal import find_peaks
 
 from twistcap.arrays import Float, Int
 from twistcap.errors import InputError
-from twistcap.io.norms import Band, read_norms
+from twistcap.io.norms import PERCENT, Band, read_norms
 
 FILE = "gait_norms/Schwartz2008.json"
 GRID = np.linspace(0.0, 100.0, 51)
@@ -30,7 +30,8 @@ def gait_norm(path: Path, coordinate: str, speed: str = "Free") -> Band:
     bands = read_norms(path, speed)
     if coordinate not in bands:
         raise InputError(f"gait norms: {path} has no {coordinate} at speed {speed!r}; see {FILE}.")
-    return bands[coordinate].at(GRID)
+    lower, upper = (np.interp(GRID, PERCENT, edge) for edge in (bands[coordinate].lower, bands[coordinate].upper))
+    return Band(np.asarray(lower), np.asarray(upper))
 
 
 def heel_strikes(ahead: Float, least: int) -> Int:
@@ -66,4 +67,4 @@ def at_phases(angle: Float, phase: Float) -> Float:
 
 def correlation(curve: Float, band: Band) -> float:
     """Pearson's correlation of a curve (51,) with the middle of a band."""
-    return float(np.corrcoef(curve, band.middle)[0, 1])
+    return float(np.corrcoef(curve, 0.5 * (band.lower + band.upper))[0, 1])

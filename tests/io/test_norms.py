@@ -27,7 +27,7 @@ def test_bands_are_read(tmp_path: Path) -> None:
     bands = read_norms(written(tmp_path / "n.json", joints))
     assert set(bands) == {"knee_angle", "isb_knee_flexion"}
     np.testing.assert_allclose(bands["knee_angle"].lower, np.arange(101) - 5.0)
-    np.testing.assert_allclose(bands["knee_angle"].at(np.array([0.5])).upper, [5.5])
+    np.testing.assert_allclose(bands["knee_angle"].upper, np.arange(101) + 5.0)
 
 
 @pytest.mark.parametrize(

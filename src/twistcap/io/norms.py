@@ -36,16 +36,6 @@ class Band:
     lower: Float
     upper: Float
 
-    def at(self, percent: Float) -> Band:
-        """The band at other per cents (M,) of the cycle."""
-        lower, upper = (np.interp(percent, PERCENT, edge) for edge in (self.lower, self.upper))
-        return Band(np.asarray(lower), np.asarray(upper))
-
-    @property
-    def middle(self) -> Float:
-        """The mean."""
-        return 0.5 * (self.lower + self.upper)
-
 
 def read_norms(path: Path, speed: str = "Free") -> Mapping[str, Band]:
     """Bands by coordinate without its side (``knee_angle``, ``isb_knee_flexion``) at one of the file's speeds.
