@@ -83,7 +83,7 @@ def read_asf(path: Path | str) -> AsfSkeleton:
         check(str(path), needed in sections, f"not an ASF skeleton (no section :{needed})")
     units = {words[0].lower(): words[-1].lower() for _, words in sections.get("units", []) if words}
     degree = 1.0 if units.get("angle", "deg").startswith("rad") else np.pi / 180.0
-    length = _number(path, 0, units.get("length", "1"))
+    length = finite_number(units.get("length", "1"), f"{path}: line 0")
     check(str(path), 1e-4 < length < 1e4, f"the length in :units is {length:g}; it must be above 0, such as 0.45")
     unit = _INCH / length
     bones = {"root": _root(path, sections.get("root", []), degree), **_bones(path, sections["bonedata"], degree)}
@@ -237,8 +237,4 @@ def _values(path: Path, frames: list[dict[str, Line]], name: str, dof: int) -> F
 
 def _numbers(path: Path, number: int, words: list[str], count: int) -> Float:
     check(str(path), len(words) == count, f"line {number}: {count} numbers must stand here, not {len(words)}")
-    return np.array([_number(path, number, word) for word in words])
-
-
-def _number(path: Path, at: int, word: str) -> float:
-    return finite_number(word, f"{path}: line {at}")
+    return np.array([finite_number(word, f"{path}: line {number}") for word in words])

@@ -85,16 +85,15 @@ def _without(lines: list[str], table: str) -> list[str]:
 
 
 def _with_offset(text: str, offset: float) -> str:
-    lines, at = text.splitlines(), None
+    """The `offset` of the keypoints replaced, or put first into their table."""
+    lines, start, inside = text.splitlines(), None, False
     for k, line in enumerate(lines):
-        header = _HEADER.match(line)
-        if header:
-            at = k if header[1].replace(" ", "") == "first_pose.keypoints" else None
-        elif at is not None and re.match(r"\s*offset\s*=", line):
+        if header := _HEADER.match(line):
+            inside = header[1].replace(" ", "") == "first_pose.keypoints"
+            start = k if inside else start
+        elif inside and re.match(r"\s*offset\s*=", line):
             lines[k] = f"offset = {offset!r}"
             return "\n".join(lines) + "\n"
-    for k, line in enumerate(lines):
-        header = _HEADER.match(line)
-        if header and header[1].replace(" ", "") == "first_pose.keypoints":
-            lines.insert(k + 1, f"offset = {offset!r}")
+    if start is not None:
+        lines.insert(start + 1, f"offset = {offset!r}")
     return "\n".join(lines) + "\n"

@@ -15,7 +15,6 @@ from matplotlib.figure import Figure as Drawing
 from matplotlib.patches import Ellipse
 
 from twistcap import se3
-from twistcap.arrays import Float
 from twistcap.calibrate.advice import camera_rows, distances, sentences
 from twistcap.calibrate.calibrate import Calibration
 from twistcap.calibrate.sightings import SCENE
@@ -152,7 +151,7 @@ def _draw_camera(axes: Axes, found: Calibration, c: int, axis: int) -> None:
     pair = [0, axis]
     centre, view = camera.centre[pair], camera.T_cam_world[2, :3][pair]
     covariance = centre_covariance(camera.T_cam_world, found.adjustment.places[c])[np.ix_(pair, pair)]
-    reach = 0.25 * _extent(found)
+    reach = 0.25 * max(float(np.ptp([camera.centre for camera in found.rig], axis=0).max()), 0.5)
     axes.plot(*np.stack([centre, centre + reach * view]).T, color=colour, lw=1.5)
     axes.plot(*centre, "o", color=colour, ms=6)
     values, vectors = np.linalg.eigh(covariance)
@@ -172,11 +171,6 @@ def _draw_boards(axes: Axes, found: Calibration, axis: int) -> None:
             axes.plot(*se3.apply(a.guess.boards[m], outline)[:, [0, axis]].T, color=_BOARD, lw=0.5, alpha=0.5)
     if "scene" in a.solids:
         axes.plot(*a.solids["scene"].points[:, [0, axis]].T, "x", color=_BOARD, ms=4)
-
-
-def _extent(found: Calibration) -> float:
-    centres: Float = np.array([camera.centre for camera in found.rig])
-    return max(float(np.ptp(centres, axis=0).max()), 0.5)
 
 
 def _histogram(found: Calibration) -> bytes:
