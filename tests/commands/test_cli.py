@@ -104,10 +104,10 @@ def test_motions_carry_the_track_over_missing_images(
 ) -> None:
     """The library has another rate than the recording; --resume goes on with it."""
     body = humanoid()
-    write_mot(tmp_path / "walk.mot", body, np.arange(64) / 60.0, gait(body, fps=60.0, frames=64, speed=1.2))
+    write_mot(tmp_path / "walk.mot", body, np.arange(120) / 60.0, gait(body, fps=60.0, frames=120, speed=1.2))
     made = document(capsys, "motions", "build", tmp_path / "walk.npz", tmp_path / "walk.mot", "--fps", "30")
     assert document(capsys, "motions", "show", tmp_path / "walk.npz") == made
-    assert made["rate"] == 30.0 and made["clips"][0]["poses"] == 32
+    assert made["rate"] == 30.0 and made["clips"][0]["poses"] == 60
     replace_text(session, "[first_pose]", f'[motions]\npath = "{tmp_path / "walk.npz"}"\nkind = "scaled"\n[first_pose]')
     for camera in ("cam01", "cam02"):
         folder = session.parent / camera
