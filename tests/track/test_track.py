@@ -96,7 +96,8 @@ def test_a_person_is_found_from_a_pose_far_off() -> None:
 
 
 def test_an_arm_that_one_camera_saw_is_found_again_when_the_other_sees_it() -> None:
-    """Hidden from one of two cameras for a third of a second, the arm drifts along the rays of the other one."""
+    """Hidden from one of two cameras for a third of a second, the arm drifts along the rays of the other one. It
+    does not where flow has led the first step."""
     scene = capture(StudioConfig(seed=4, views=2, frames=45))
     frames = list(scene.frames())
 
@@ -105,6 +106,7 @@ def test_an_arm_that_one_camera_saw_is_found_again_when_the_other_sees_it() -> N
         return max(float(joint_errors_mm(scene, e).max()) for e in estimates[20:])
 
     model = build(scene.body, scene.rig)
+    model = replace(model, predictors=model.predictors[-1:])
     searched, without = arm_mm(model), arm_mm(replace(model, searches=()))
     assert searched < 100.0 < 0.5 * without  # lost it is off by the length of the arm
 
