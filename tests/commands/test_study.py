@@ -268,7 +268,7 @@ def test_a_killed_worker_of_a_cluster_loses_and_doubles_nothing(mine: Path, whol
     distributed = pytest.importorskip("distributed", reason="needs Dask, of the extra study")
     out = tmp_path / "out"
     out.mkdir()
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         with distributed.Client(cluster) as client:
             pids = list(client.run(os.getpid).values())
         thread = killed_when((out / "p1" / "fast" / ".track.json").exists, pids.copy)

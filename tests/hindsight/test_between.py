@@ -113,17 +113,19 @@ def test_what_lacked_is_remembered_frame_by_frame() -> None:
     assert then.begun_anew().lacked is None
 
 
-def test_arms_that_jerks_threw_off_are_right_in_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two cameras: one arm is astray for seven frames, then the other for eleven; both come back by themselves."""
-    take = take_of(5032, kind_of(5032))
-    frames, model = list(take.frames())[:48], build(take.scene.body, take.scene.rig)
-    model = replace(model, searches=(LostBody(doubt=DoubtRule(doubtful=1.0)),))  # or a search finds them in time
+def test_an_arm_that_jerks_threw_off_is_right_in_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two cameras: the right arm is astray for ten frames, and comes back by itself."""
+    take = take_of(5582, kind_of(5582))
+    frames, model = list(take.frames())[:40], build(take.scene.body, take.scene.rig)
+    model = replace(model, searches=(LostBody(doubt=DoubtRule(doubtful=1.0)),))  # or a search finds it in time
 
-    def worst() -> float:
+    def worst() -> Float:
         poses = [e.pose for e in tracked(frames, model, take.first_pose)]
-        return float(errors_mm(take, poses, JOINT_CENTRES).max())
+        return errors_mm(take, poses, JOINT_CENTRES).max(axis=1)
 
     after = worst()
     monkeypatch.setattr(hindsight, "looked_between", lambda _model, state, *_: (state, []))
-    assert worst() > 150.0, "the scene no longer shows what it is for"
-    assert after < 120.0
+    before = worst()
+    astray = before > 100.0
+    assert astray.sum() > 5 and before[astray].mean() > 200.0, "the scene no longer shows what it is for"
+    assert after[astray].mean() < 45.0 and after.max() < 120.0

@@ -96,8 +96,8 @@ def test_a_person_is_found_from_a_pose_far_off() -> None:
 
 
 def test_an_arm_that_one_camera_saw_is_found_again_when_the_other_sees_it() -> None:
-    """Hidden from one of two cameras for a third of a second, the arm drifts along the rays of the other one. It
-    does not where flow has led the first step."""
+    """Hidden from one of two cameras for a third of a second, the arm drifts along the rays of the other one,
+    where no flow has led the first step."""
     scene = capture(StudioConfig(seed=4, views=2, frames=45))
     frames = list(scene.frames())
 

@@ -162,8 +162,7 @@ def _limb_fractions(J: Mapping[str, Float], points: Float, part: Int, side: str,
 
 def _rejointed(skeleton: Body, centres: Float) -> Body:
     """The skeleton with its joints at new centres (S, 3); landmarks move with their segment's joint."""
-    old, marks = skeleton.joint_origins, skeleton.landmarks
-    old[skeleton.segment_joint < 0] = 0.0
+    old, marks = np.where(skeleton.segment_joint[:, None] < 0, 0.0, skeleton.joint_origins), skeleton.landmarks
     marks = Landmarks(marks.names, marks.segments, marks.points + (centres - old)[marks.segments])
     return replace(skeleton, twists=joints_at(skeleton, dict(enumerate(centres))), landmarks=marks)
 
