@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from reproduce.scenes.key_views import KeyViewScene, key_view_scene
 from twistcap import se3
-from twistcap.acquire.build import Acquired, build
+from twistcap.acquire.build import Acquired, _rejointed, build
 from twistcap.acquire.measure import measure
 from twistcap.acquire.outline import corners, outline, skeleton
 from twistcap.acquire.sections import Cut, closed_spline, section
@@ -245,6 +245,15 @@ def test_files_that_do_not_fit(scene: KeyViewScene, tmp_path: Path) -> None:
         path.write_text(good.replace(old, new))
         with pytest.raises(InputError, match=message):
             read_key_views(path)
+
+
+def test_a_body_that_gets_other_joints_keeps_its_own() -> None:
+    body = humanoid()
+    before = body.joint_origins.copy()
+    moved = _rejointed(body, before + 0.1)
+    np.testing.assert_array_equal(body.joint_origins, before)
+    jointed = body.segment_joint >= 0
+    np.testing.assert_allclose(moved.joint_origins[jointed], before[jointed] + 0.1, atol=1e-9)
 
 
 def test_a_silhouette_from_a_plate_ends_where_the_person_does() -> None:
