@@ -33,7 +33,7 @@ from twistcap.report.overlay import (
     visible_projection,
 )
 from twistcap.report.page import Figure, Statement, headline_rows, number, write_report
-from twistcap.report.plots import AngleSeries, angle_plot, envelope, joint_error_plot, spans
+from twistcap.report.plots import AngleSeries, angle_plot, cycle_plot, envelope, joint_error_plot, spans
 
 CHROMIUM = Path("/usr/bin/chromium")
 
@@ -149,6 +149,16 @@ def test_plots_show_both_sides_and_lost_frames(tmp_path: Path) -> None:
     errors[4] = np.inf
     picture = cv2.imread(str(joint_error_plot(tmp_path / "c.png", times, ("knee_r", "knee_l", "hip_r"), errors)))
     assert _has_colour(picture[..., ::-1], right, 12)
+
+
+def test_names_with_dollar_signs_are_no_formulas(tmp_path: Path) -> None:
+    """Importers make names of joints such as `Hips_$AssimpFbx$_Rotation`."""
+    names, times = (r"hips_$\x$_r", "$_$"), np.arange(5) / 5
+    series = AngleSeries(times, names, np.zeros((5, 2)))
+    angle_plot(tmp_path / "a.png", series, title="walk $_$")
+    cycle_plot(tmp_path / "b.png", {name: (np.zeros(101), np.ones(101)) for name in names}, title="walk $_$")
+    joint_error_plot(tmp_path / "c.png", times, names, np.ones((5, 2)))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.png", "c.png"]
 
 
 def test_lost_frames_have_no_say_in_the_height_of_a_panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

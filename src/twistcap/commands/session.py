@@ -92,4 +92,4 @@ def _print_settings(json: bool) -> None:
     table = Table("key", "default", "what it is")
     for row in rows:
         table.add_row(row["key"], row["default"], row["meaning"])
-    Console().print(table)
+    Console(markup=False).print(table)

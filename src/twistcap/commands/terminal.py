@@ -16,13 +16,14 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 from twistcap.errors import InputError
 
 if TYPE_CHECKING:
     from twistcap.io.result import Result
 
-words = Console(stderr=True, highlight=False)
+words = Console(stderr=True, highlight=False, markup=False)  # names of files, cameras and joints may have brackets
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document alone on standard output.")]
 Videos = Annotated[
     list[str] | None, typer.Option(help="A video, a folder, or images. Write CAMERA=PATH if the name is not enough.")
@@ -86,8 +87,8 @@ def status(title: str) -> Generator[Callable[..., None]]:
 
 
 def _bar() -> Progress:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, TextColumn("{task.fields[note]}"), console=words)
+    title, note = (TextColumn(text, markup=False) for text in ("{task.description}", "{task.fields[note]}"))
+    return Progress(title, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), note, console=words)
 
 
 def tell_compiling() -> None:
@@ -100,8 +101,8 @@ def tell_compiling() -> None:
 
 
 def say(sentence: str) -> None:
-    """A sentence on stderr, as it is: names of files may have brackets, and lines are not broken."""
-    words.print(sentence, markup=False, soft_wrap=True)
+    """A sentence on stderr, as it is: lines are not broken."""
+    words.print(sentence, soft_wrap=True)
 
 
 def finish(document: Mapping[str, Any], json: bool, tell: Callable[[Any], None]) -> None:
@@ -127,21 +128,22 @@ def show_rows(title: str, rows: list[Any]) -> None:
     show_table(title, list(filled), list(zip(*filled.values(), strict=True)), left)
 
 
-def _value(row: Any) -> str:
-    colour = {True: "green", False: "red", None: ""}[row["holds"]]
+def _value(row: Any) -> Text:
     number = row["value"]
     value = "–" if number is None else f"{number:.3g}" if abs(number) < 100 else f"{number:.0f}"
-    return f"[{colour}]{value}[/]" if colour else value
+    return Text(value, {True: "green", False: "red", None: ""}[row["holds"]])
 
 
-def show_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[str] = ("",)) -> None:
+def show_table(
+    title: str, columns: Sequence[str], rows: Sequence[Sequence[str | Text]], left: Sequence[str] = ("",)
+) -> None:
     """A table of texts on stdout; the columns `left` begin at the left, the others end at the right."""
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     for name in columns:
         table.add_column(name, justify="left" if name in left else "right", overflow="fold")
     for row in rows:
         table.add_row(*row)
-    Console(highlight=False).print(table)
+    Console(highlight=False, markup=False).print(table)
 
 
 def number(value: float, form: str = ".2f") -> str:

@@ -21,12 +21,14 @@ from twistcap.calibrate.sightings import SCENE
 from twistcap.calibrate.world import centre_covariance
 from twistcap.evaluate.metrics import Row, row
 from twistcap.report.page import Figure, Headline, write_report
+from twistcap.report.plots import literal
 
 _GOOD, _WRONG, _BOARD = "#1780d6", "#e5484d", "#3d8f6d"
 _COLOURS = ("#e8790c", "#1780d6", "#3d8f6d", "#a24bd6", "#c62f35", "#7a6a00", "#0d8f95", "#5d6875")
 _PX, _MM, _DEG, _PERCENT = (0.5, 2.0), (5.0, 20.0), (0.3, 1.0), (0.3, 1.0)  # good below, bad above
 
 
+@literal
 def write_calibration_page(found: Calibration, folder: Path, title: str = "Calibration") -> Path:
     """Write ``calibration.html`` into a folder. Raises InputError where it cannot be written."""
     rows = camera_rows(found)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -31,6 +32,9 @@ _HEAD, _LEGEND, _FOOT = 0.25, 0.28, 0.4  # inches of the figure's title, a legen
 _WIDE = 3  # columns from which on the legend is beside the title
 _LOST, _DROPPED, _NORM = "#e5484d", "#9aa3ad", "#aab2bd"
 
+literal = rc_context({"text.parse_math": False})
+"""Decorates what draws names of cameras and joints, which may have dollar signs; between two would be a formula."""
+
 
 @dataclass(frozen=True)
 class AngleSeries:
@@ -42,6 +46,7 @@ class AngleSeries:
     sigma: Float | None = None  # (N, J) standard deviations, rad; None where they are not known
 
 
+@literal
 def angle_plot(
     path: Path | str, estimate: AngleSeries, truth: AngleSeries | None = None, lost: Bool | None = None,
     dropped: Bool | None = None, title: str = "",
@@ -127,6 +132,7 @@ def _titled(axis: Axes, text: str) -> None:
     axis.set_title(text, loc="left", y=1.02, fontsize=9, fontweight="bold")
 
 
+@literal
 def cycle_plot(
     path: Path | str, curves: Mapping[str, tuple[Float, Float]], norms: Mapping[str, tuple[Float, Float]] | None = None,
     title: str = "Gait cycles: mean ± standard deviation", unsure: Collection[str] = (),
@@ -152,6 +158,7 @@ def cycle_plot(
     return _saved(path, figure, names, shown)
 
 
+@literal
 def joint_error_plot(path: Path | str, times: Float, names: Sequence[str], errors_mm: Float) -> Path:
     """Position error of each joint (N, L) in mm over time, one panel per joint; in grey the median of all."""
     figure, panels = _grid(names, "Joint position error (mm)", times)
