@@ -198,3 +198,20 @@ def test_what_opensim_cannot_hold_is_told(tmp_path: Path) -> None:
     write_opensim(tmp_path / "o", walk(tmp_path, BODIES["plain"], lost=True), fill=True)
     names = [m.get("name") for m in ET.parse(tmp_path / "o" / "markers.xml").iter("Marker")]
     assert tuple(names) == read_trc(tmp_path / "o" / "markers.trc").names and len(names) >= 40
+
+
+def test_names_that_opensim_does_not_take(opensim: Any, tmp_path: Path) -> None:
+    """Blanks, as in "Bip01 L Thigh", would split a label; a path would lead out of the folder."""
+    plain = BODIES["plain"]
+    parts, angles = [list(names) for names in (plain.segment_names, plain.coordinate_names)]
+    parts[:4], angles[:4] = ["a b", "a_b", "../../c", "/d"], ["e f", "e_f", "g/h", "=i*"]
+    body = replace(plain, name="my body/1", segment_names=tuple(parts), coordinate_names=tuple(angles))
+    write_opensim(tmp_path / "in" / "opensim", walk(tmp_path, body))
+    assert {path.name for path in tmp_path.iterdir()} == {"in", "r.h5"}
+    assert {path.name for path in (tmp_path / "in").iterdir()} == {"opensim"}
+    model = opensim.Model(str(tmp_path / "in" / "opensim" / "model.osim"))
+    model.initSystem()
+    motion = opensim.Storage(str(tmp_path / "in" / "opensim" / "angles.mot"))
+    labels = {motion.getColumnLabels().get(n) for n in range(motion.getColumnLabels().getSize())}
+    coordinates = {model.getCoordinateSet().get(n).getName() for n in range(model.getNumCoordinates())}
+    assert coordinates == labels - {"time"} and {"e_f", "e_f_", "g_h", "_i_"} < labels

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from twistcap.io.result import Result
 _LENGTHS = re.compile(r"(_[tpv][xyz]|_beta_t[xyz])$|force|torque|moment", re.IGNORECASE)
 _LEFT_OUT = "Frames left out"
 _SPAN = re.compile(r"\((\S+) to (\S+) s\)")
+_NO_NAME = re.compile(r"[\s=/\\*+]")  # blanks end a label, and OpenSim allows no others of these in a name
 _NEGATIVE_KNEE = np.radians(-5.0)  # no walker has a mean knee angle below this
 
 
@@ -43,6 +44,17 @@ class MotionTable:
     def get(self, name: str) -> Float:
         """(N,) one column, zeros where the file has none of that name."""
         return self.values[:, self.columns.index(name)] if name in self.columns else np.zeros(len(self.times))
+
+
+def opensim_names(names: Iterable[str]) -> tuple[str, ...]:
+    """Names as OpenSim takes them: without blanks and the signs of its paths. Different ones stay different."""
+    out = list[str]()
+    for name in names:
+        plain = _NO_NAME.sub("_", name) or "_"
+        while plain in out:
+            plain += "_"
+        out.append(plain)
+    return tuple(out)
 
 
 LOST_THROUGHOUT = "the body is lost in every frame; with --fill the predicted poses are written"
@@ -68,8 +80,9 @@ def write_mot(
     head = ["Coordinates", "version=1", f"nRows={len(kept)}", f"nColumns={len(table.names) + 1}", "inDegrees=yes", ""]
     head += ["Units are S.I. units (second, meters, Newtons, ...)", "Angles are in degrees.", ""]
     head += _lost_spans(lost, times, np.arange(len(times), dtype=np.int32) if frames is None else frames, fill)
+    names = opensim_names(table.names)
     rows = ["\t".join([repr(float(times[n])), *(f"{v:.8f}" for v in values[n])]) for n in kept]
-    write_lines(path, [*head, "endheader", "\t".join(["time", *table.names]), *rows])
+    write_lines(path, [*head, "endheader", "\t".join(["time", *names]), *rows])
 
 
 def _lost_spans(lost: Bool, times: Float, frames: Int, fill: bool) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -14,7 +15,7 @@ from twistcap.body.surface_markers import surface_markers
 from twistcap.errors import check
 from twistcap.io.files import write_lines
 from twistcap.io.markers import WorldAxes, write_trc
-from twistcap.io.motion_files import LOST_THROUGHOUT, write_mot
+from twistcap.io.motion_files import LOST_THROUGHOUT, opensim_names, write_mot
 from twistcap.io.opensim_model import add_texts, document, marker_set, meshes, opensim_model
 from twistcap.io.result import Result
 
@@ -46,7 +47,7 @@ def write_opensim(folder: Path, result: Result, axes: WorldAxes = "opensim", fil
     Rajagopal's names, ``generic.osim``, to ``static.trc``, the rest pose. Raises InputError for a body that OpenSim
     cannot hold, or where a file cannot be written.
     """
-    body, known = result.body, result.known | fill
+    body, known = _named(result.body), result.known | fill
     check(str(folder), known.any(), LOST_THROUGHOUT)
     stuck, centres = surface_markers(body), _centres(body)
     model = opensim_model(body, stuck, axes)
@@ -68,6 +69,12 @@ def write_opensim(folder: Path, result: Result, axes: WorldAxes = "opensim", fil
     write_trc(folder / "static.trc", _STATIC, both.names, standing, axes=axes)
     _write_xml(folder / "ik.xml", _inverse_kinematics(stuck.names, result.times[known]))
     _write_xml(folder / "scale.xml", _scaling({*stuck.names, *centres.names}))
+
+
+def _named(body: Body) -> Body:
+    """The body with names that OpenSim takes; files are called after its segments."""
+    parts, coordinates = opensim_names(body.segment_names), opensim_names(body.coordinate_names)
+    return replace(body, name=opensim_names([body.name])[0], segment_names=parts, coordinate_names=coordinates)
 
 
 def _centres(body: Body) -> Landmarks:
