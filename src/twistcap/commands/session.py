@@ -80,16 +80,11 @@ def _default(item: Field[Any]) -> str:
 
 
 def _print_settings(json: bool) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
     from twistcap.settings import Settings
 
     rows = explained(Settings)
     if json:
         terminal.emit({"id": "settings", "settings": rows})
         return
-    table = Table("key", "default", "what it is")
-    for row in rows:
-        table.add_row(row["key"], row["default"], row["meaning"])
-    Console(markup=False).print(table)
+    columns = ("key", "default", "what it is")
+    terminal.show_table("Settings of the tracker", columns, [tuple(row.values()) for row in rows], columns)

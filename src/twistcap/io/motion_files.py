@@ -25,7 +25,7 @@ from twistcap.io.result import Result
 _LENGTHS = re.compile(r"(_[tpv][xyz]|_beta_t[xyz])$|force|torque|moment", re.IGNORECASE)
 _LEFT_OUT = "Frames left out"
 _SPAN = re.compile(r"\((\S+) to (\S+) s\)")
-_NO_NAME = re.compile(r"[\s=/\\*+]")  # blanks end a label, and OpenSim allows no others of these in a name
+_NO_NAME = re.compile(r"[\s/\\*+]")  # blanks end a label; OpenSim takes none of the others in a name
 _NEGATIVE_KNEE = np.radians(-5.0)  # no walker has a mean knee angle below this
 
 
