@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from twistcap.arrays import AnyArray, Float
 from twistcap.body import Pose
+
+Sources = tuple[int, ...]
+"""(C,) the camera under whose name each camera's picture came; () where each came under its own."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +28,11 @@ class Keypoints:
     pixels: Float
     confidence: Float
 
+    def sorted_by(self, sources: Sources) -> Keypoints:
+        """Those of each camera's own picture."""
+        order = list(sources)
+        return replace(self, pixels=self.pixels[order], confidence=self.confidence[order]) if sources else self
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -36,12 +44,29 @@ class Frame:
         images: one per camera of the rig, (H, W) grey or (H, W, 3) RGB, uint8 or float32 in [0, 1], rectified
             (`camera.Rectifier`); None where the camera dropped the frame.
         keypoints: 2D landmarks of this instant, where somebody has them.
+        sources: under which names the pictures came, where they have been sorted.
     """
 
     index: int
     time: float
     images: tuple[AnyArray | None, ...]
     keypoints: Keypoints | None = None
+    sources: Sources = ()
+
+    def sorted_by(self, sources: Sources) -> Frame:
+        """The frame with each camera's picture from where it is in this one."""
+        if not sources:
+            return self
+        points = None if self.keypoints is None else self.keypoints.sorted_by(sources)
+        own = tuple(range(len(sources)))
+        came = tuple((self.sources or own)[s] for s in sources)
+        images = tuple(self.images[s] for s in sources)
+        return replace(self, images=images, keypoints=points, sources=() if came == own else came)
+
+    @property
+    def missing(self) -> tuple[int, ...]:
+        """Cameras without a picture."""
+        return tuple(i for i, image in enumerate(self.images) if image is None)
 
 
 UNSEEN = ("no_images", "not_found")
@@ -68,7 +93,8 @@ class Estimate:
             them is in no image, or they look like what is behind them; None where nothing was seen of the body.
         left_out: cameras of the rig that contradict the others and are not believed.
         missing: cameras whose picture was missing, blank, or the one before once more.
-        bumps: (C, 3) turn of each camera from where it is calibrated, in its own frame, rad; None where none was.
+        bumps: (C, 3) turn of each camera from where it is calibrated, in its own frame, rad; None where nobody looks.
+        sources: under which names the cameras' pictures came, if they were swapped.
     """
 
     index: int
@@ -86,6 +112,12 @@ class Estimate:
     left_out: tuple[int, ...] = ()
     missing: tuple[int, ...] = ()
     bumps: Float | None = None
+    sources: Sources = ()
+
+    @property
+    def swapped(self) -> tuple[int, ...]:
+        """Cameras whose pictures came under other names."""
+        return tuple(c for c, source in enumerate(self.sources) if source != c)
 
     @property
     def turned(self) -> tuple[int, ...]:

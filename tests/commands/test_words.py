@@ -1,4 +1,4 @@
-"""A recording with a camera that is bumped and then moved, a blank picture and a gap: all outputs say so."""
+"""A recording with a camera that is bumped and then moved, a blank picture, a gap and a swap: all outputs say so."""
 
 from __future__ import annotations
 
@@ -18,15 +18,17 @@ from twistcap.io.result import read_result
 from twistcap.io.synthetic import write_session
 from twistcap.studio import StudioConfig, capture
 
-BUMPED, MOVED, BLANK, GAP = range(9, 13), range(15, 25), (6, 7), range(30, 36)
+BUMPED, MOVED, BLANK, GAP, SWAPPED = range(9, 13), range(15, 25), (6, 7), range(30, 36), range(41, 45)
+FRAMES = 48
 BUMP = np.deg2rad([0.8, 1.4, -0.5])
 
 
 @pytest.fixture(scope="module")
 def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The session of a walk in three cameras: one is bumped, then zoomed; one shows grey; all show nothing."""
+    """The session of a walk in three cameras: one is bumped, then zoomed; one shows grey; all show nothing; two
+    give each other's pictures."""
     folder = tmp_path_factory.mktemp("faulty")
-    scene = capture(StudioConfig(seed=2, views=3, frames=42, fps=30.0, size=(320, 240)))
+    scene = capture(StudioConfig(seed=2, views=3, frames=FRAMES, fps=30.0, size=(320, 240)))
     write_session(scene, folder, "png", masks=False)
 
     def picture(camera: int, k: int) -> Path:
@@ -43,6 +45,10 @@ def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for k in GAP:
         for camera in range(3):
             picture(camera, k).unlink()
+    for k in SWAPPED:
+        first, second, aside = picture(0, k), picture(1, k), folder / "aside.png"
+        for old, new in ((first, aside), (second, first), (aside, second)):
+            old.rename(new)
     return folder / "session.toml"
 
 
@@ -65,6 +71,10 @@ def test_the_result_holds_limbs_and_cameras(printed_run: tuple[Path, str]) -> No
     shown[list(GAP)], shown[list(BLANK), 2] = True, True
     np.testing.assert_array_equal(result.missing, shown)
     np.testing.assert_array_equal(np.isnan(result.part_probability).any(axis=1), shown.all(axis=1))
+    swapped = np.zeros(len(result), bool)
+    swapped[list(SWAPPED)] = True
+    np.testing.assert_array_equal(result.sources, np.where(swapped[:, None], (1, 0, 2), (0, 1, 2)))
+    assert not result.lost[SWAPPED[0] :].any()
     assert result.lost[GAP[-1]] and not result.lost[: GAP[0]].any()
 
 
@@ -78,11 +88,15 @@ def test_resumed_frames_hold_the_same_and_the_command_tells_it(
     assert run("track", faulty, "--out", tmp_path, "--frames", "0:25", *quiet) == 0
     output = document(capsys, "track", faulty, "--out", tmp_path, "--resume", *quiet)
     resumed = read_result(tmp_path / "result.h5")
-    for name in ("q", "probability", "part_probability", "left_out", "missing", "bumps", "lost"):
+    for name in ("q", "probability", "part_probability", "left_out", "missing", "bumps", "sources", "lost"):
         np.testing.assert_array_equal(getattr(resumed, name), getattr(whole, name))
     assert output["left_out"]["cam01"] and output["left_out"]["cam02"] == []
-    lost, left_out, bumped, nothing, blank = output["statements"]
-    assert lost.startswith(f"{len(output['lost'])} of 42 frames lost: ") and lost.endswith(f"–{GAP[-1]} (no images)")
+    lost, left_out, bumped, first, second, nothing, blank = output["statements"]
+    assert output["swapped"] == {"cam01": [*SWAPPED], "cam02": [*SWAPPED], "cam03": []}
+    assert first == "camera cam01 gave the pictures of cam02 in 4 frames: 41–44 (they count as those)"
+    assert second == "camera cam02 gave the pictures of cam01 in 4 frames: 41–44 (they count as those)"
+    assert lost.startswith(f"{len(output['lost'])} of {FRAMES} frames lost: ")
+    assert lost.endswith(f"–{GAP[-1]} (no images)")
     assert left_out.startswith(f"camera cam01 was left out in {len(output['left_out']['cam01'])} frames: ")
     assert left_out.endswith("; it contradicts the others (bumped, frozen, late or swapped?)")
     assert bumped.startswith(f"camera cam01 was out of its place in 4 frames: {BUMPED[0]}–{BUMPED[-1]} (turned by 1.7°")
@@ -97,6 +111,9 @@ def test_what_is_printed_and_written_tells_it(printed_run: tuple[Path, str]) -> 
         assert "(no images)" in text
     assert f"frame {BUMPED[0]}: camera cam01 was bumped, or sways; its pictures are turned back" in printed
     assert f"frame {BUMPED[-1] + 1}: camera cam01 stands again as it was calibrated" in printed
+    for said in ("gives the pictures of another one; they count as those", "gives its own pictures again"):
+        assert printed.count(f"camera cam01 {said}") == printed.count(f"camera cam02 {said}") == 1
+    assert "Cameras that gave the pictures of others: cam01 those of cam02 from frame 41 on" in page
     assert printed.count("camera cam01 is left out") == 1 and printed.count("camera cam01 is believed again") == 1
     with (out / "angles.csv").open() as file:
         rows = list(csv.DictReader(file))

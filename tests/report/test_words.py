@@ -130,6 +130,39 @@ def test_a_bumped_camera_is_said_to_be(tmp_path: Path) -> None:
     assert told[3] == ["frame 8: camera cam1 stands again as it was calibrated"]
 
 
+def test_a_camera_that_gives_another_ones_pictures_is_said_to(tmp_path: Path) -> None:
+    swapped = estimate(1, sources=(1, 0))
+    assert [camera_in_words(swapped, c) for c in range(2)] == ["swapped", "swapped"]
+    both = estimate(1, sources=(1, 0), bumps=np.radians([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]]))
+    assert camera_in_words(both, 1) == "swapped, bumped by 2.0°"
+    said = "camera cam1 gives the picture of cam0; camera cam0 gives the picture of cam1"
+    assert frame_in_words(swapped, LIMBS, ("cam0", "cam1")) == said
+    made = result(tmp_path / "a.h5", [estimate(0), swapped, estimate(2, sources=(1, 0)), estimate(3)])
+    assert [e.sources for e in made.estimates] == [(), (1, 0), (1, 0), ()]
+    assert cameras_in_words(made) == [
+        "camera cam0 gave the pictures of cam1 in 2 frames: 2–4 (they count as those)",
+        "camera cam1 gave the pictures of cam0 in 2 frames: 2–4 (they count as those)",
+    ]
+    words = [statement.text for statement in verdict_of(made)]
+    given = "gave the pictures of others: cam0 those of cam1 from frame 2 on, cam1 those of cam0 from frame 2 on. They"
+    assert any(given in text for text in words)
+    believed = Believed(("cam0", "cam1"))
+    told = [believed.news(e) for e in made.estimates]
+    assert [len(sentences) for sentences in told] == [0, 2, 0, 2]
+    assert told[1][0] == "frame 2: camera cam0 gives the pictures of another one; they count as those"
+    assert told[3][1] == "frame 6: camera cam1 gives its own pictures again"
+
+
+def test_a_mosaic_shows_each_camera_s_own_picture() -> None:
+    rig, posed = ring(2), Posed(BODY, Pose.rest(BODY))
+    grey = [np.full((rig[c].size[1], rig[c].size[0], 3), level, np.uint8) for c, level in enumerate((60, 180))]
+    frame, mosaic = Frame(2, 1 / 30, (grey[0], grey[1])), mosaic_for(rig)
+    own = draw_mosaic(frame, posed, mosaic, estimate=estimate(1))
+    given = draw_mosaic(replace(frame, images=(grey[1], grey[0])), posed, mosaic, estimate=estimate(1, sources=(1, 0)))
+    differs = np.any(own != given, axis=2)
+    assert 0 < differs.sum() < 0.02 * differs.size  # the notes beside the names
+
+
 def test_what_only_the_run_knows_of_cameras_is_in_the_verdict(tmp_path: Path) -> None:
     """Not below a verdict that says that no camera was left out, and only there."""
     made, doubt = result(tmp_path / "a.h5", [estimate(k) for k in range(3)]), "Camera cam0 seems to stand elsewhere."
@@ -187,7 +220,7 @@ def test_the_verdict_says_what_can_be_used(tmp_path: Path) -> None:
     assert by_grade["Not reliable"] == (False, "Not reliable, σ above 5°: pro sup (9.0°).")
     assert by_grade["Reliable"][0] is True and "knee angle left (1.0°)" in by_grade["Reliable"][1]
     assert "cam1 in 5 % of the frames" in words[-2]
-    assert [line["value"] for line in camera_rows(made)] == [0, 0, 0, 1, 0, 0]
+    assert [line["value"] for line in camera_rows(made)] == [0, 0, 0, 0, 1, 0, 0, 0]
     assert 4 in chosen_rows(made) and len(chosen_rows(made)) == 4
     away = [replace(e, status="no_images", probability=1.0) if 8 <= k < 19 else e for k, e in enumerate(frames)]
     assert chosen_rows(result(tmp_path / "d.h5", away)) == [1, 4, 7]  # nothing to see from row 8 to 18

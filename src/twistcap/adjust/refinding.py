@@ -30,7 +30,9 @@ class KeypointPoses:
 
     def __call__(self, problem: Problem) -> Sequence[Pose]:
         """The fitted pose; none where two views do not agree on enough joints."""
-        keypoints = problem.frame.keypoints or self.keypoints(problem.frame.index)
+        keypoints = problem.frame.keypoints
+        if keypoints is None and (given := self.keypoints(problem.frame.index)) is not None:
+            keypoints = given.sorted_by(problem.frame.sources)
         if keypoints is None:
             return ()
         rig = Rig(tuple(bumped(camera, bump) for camera, bump in zip(self.rig, problem.bumps, strict=True)))

@@ -22,6 +22,7 @@ from twistcap.track import Tracker
 
 _LEFT_OUT, _BELIEVED = f"is left out; it {CONTRADICTS}", "is believed again"
 _TURNED, _STANDS = "was bumped, or sways; its pictures are turned back", "stands again as it was calibrated"
+_SWAPPED, _OWN = "gives the pictures of another one; they count as those", "gives its own pictures again"
 _HERE = "no longer seems to stand elsewhere"
 STATE_EVERY = 10
 """Frames from one saved state to the next; what follows the last one is tracked again, and comes out alike."""
@@ -50,20 +51,22 @@ class Believed:
     said: set[tuple[int, str]] = field(default_factory=set[tuple[int, str]])
     elsewhere: frozenset[int] = frozenset()
     turned: frozenset[int] = frozenset()
+    swapped: frozenset[int] = frozenset()
 
     def news(self, estimate: Estimate, elsewhere: Collection[int] = ()) -> list[str]:
-        """Sentences about the cameras that are left out, believed again, turned, or seem to be elsewhere since the last
-        frame.
+        """Sentences about the cameras that are left out, believed again, turned, swapped, or seem to be elsewhere since
+        the last frame.
 
         `elsewhere` are those that the watch suspects.
         """
         out, suspects = frozenset(estimate.left_out), frozenset(elsewhere)
         changed = [(c, _LEFT_OUT if c in out else _BELIEVED) for c in sorted(self.out ^ out)]
         changed += [(c, ELSEWHERE if c in suspects else _HERE) for c in sorted(self.elsewhere ^ suspects)]
-        turned = frozenset(estimate.turned)
+        turned, swapped = frozenset(estimate.turned), frozenset(estimate.swapped)
         changed += [(c, _TURNED if c in turned else _STANDS) for c in sorted(self.turned ^ turned)]
+        changed += [(c, _SWAPPED if c in swapped else _OWN) for c in sorted(self.swapped ^ swapped)]
         fresh = [change for change in changed if change not in self.said]
-        self.out, self.elsewhere, self.turned = out, suspects, turned
+        self.out, self.elsewhere, self.turned, self.swapped = out, suspects, turned, swapped
         self.said.update(fresh)
         return [f"frame {estimate.index}: camera {self.names[c]} {what}" for c, what in fresh]
 

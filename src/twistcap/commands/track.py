@@ -105,12 +105,12 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
         statements = [*result_in_words(result), *wrong]
         files = [path, *_outputs(session, views, result, folder, timing, norms, statements)]
     lost = result.indices[result.lost].tolist()
-    out, turned = (
+    out, turned, swapped = (
         {name: result.indices[each].tolist() for name, each in zip(result.rig.names, rows.T, strict=True)}
-        for rows in (result.left_out, np.any(result.bumps, axis=2))
+        for rows in (result.left_out, np.any(result.bumps, axis=2), result.swapped)
     )
     about = {"id": "track", "result": path, "frames": len(result), "lost": lost, "left_out": out, "turned": turned}
-    about |= {"corrected": sorted(timing.corrected), "statements": statements}
+    about |= {"swapped": swapped, "corrected": sorted(timing.corrected), "statements": statements}
     return about | {"ms_per_frame": timing.median, "files": files}
 
 

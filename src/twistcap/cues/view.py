@@ -15,7 +15,7 @@ from twistcap.body import Posed
 from twistcap.camera import Camera, Rig
 from twistcap.camera.bump import turned_back
 from twistcap.errors import InputError
-from twistcap.estimate import Frame
+from twistcap.estimate import Estimate, Frame
 from twistcap.features import Channels, feature_channels, grey, opponent
 from twistcap.render import body_window
 from twistcap.stages import stage
@@ -172,6 +172,12 @@ def with_news(frame: Frame, before: tuple[int, ...], moving: bool) -> tuple[Fram
 
 def _blank(image: AnyArray) -> bool:
     return float(cv2.meanStdDev(image)[1].max()) < _BLANK * (255.0 if image.dtype == np.uint8 else 1.0)
+
+
+def as_calibrated(frame: Frame, estimate: Estimate, rig: Rig) -> Frame:
+    """The frame, its images as if each had come from its own camera, where that was calibrated."""
+    own = frame.sorted_by(estimate.sources)
+    return own if estimate.bumps is None else steadied(own, estimate.bumps, rig)
 
 
 def steadied(frame: Frame, bumps: Float, rig: Rig) -> Frame:

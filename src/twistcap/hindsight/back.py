@@ -21,12 +21,12 @@ from twistcap.hindsight.passed import (
     Passed,
     apart,
     begun,
-    bumps_in,
     corrected,
     evidence_in,
     for_second_track,
     lost_memory,
     sums,
+    with_cameras_of,
     with_limbs,
 )
 from twistcap.predict.history import REMEMBERED, Moment
@@ -145,7 +145,7 @@ def _backward(model: Model, state: State, passed: Sequence[Passed]) -> Iterator[
     state = _turned(model, state)
     for one in reversed(passed):
         before = state
-        there = replace(state, bumps=bumps_in(model, one))
+        there = with_cameras_of(state, one)
         state, estimate = step(there, replace(one.seen, time=-one.frame.time), model)
         if estimate.status in (*UNSEEN, "failed"):
             return

@@ -21,11 +21,11 @@ from twistcap.hindsight.passed import (
     Passed,
     apart,
     begun,
-    bumps_in,
     corrected,
     evidence_in,
     for_second_track,
     sums,
+    with_cameras_of,
     with_coordinates,
     with_limbs,
 )
@@ -155,7 +155,7 @@ def _tracked_again(
     model = for_second_track(model)
     whole, alone = list[Again](), list[Again]()
     for one, expected in zip(stretch.passed, stretch.expected, strict=True):
-        there = replace(_expecting(model, state, expected, one.frame.time), bumps=bumps_in(model, one))
+        there = with_cameras_of(_expecting(model, state, expected, one.frame.time), one)
         _, found = step(there, one.seen, model)
         if found.status in _BLIND:
             return [], []

@@ -10,7 +10,7 @@ import numpy as np
 
 from twistcap.arrays import Bool, Float
 from twistcap.body import Pose, Posed
-from twistcap.cues.view import despeckled, steadied
+from twistcap.cues.view import as_calibrated, despeckled
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict.history import Moment, Past
 from twistcap.search.evidence import Evidence
@@ -30,7 +30,8 @@ class Passed:
     @property
     def seen(self) -> Frame:
         """The frame without pictures that told nothing."""
-        missing = self.estimate.missing
+        sources = self.estimate.sources or tuple(range(len(self.frame.images)))
+        missing = {sources[camera] for camera in self.estimate.missing}
         images = tuple(None if i in missing else image for i, image in enumerate(self.frame.images))
         return replace(self.frame, images=images)
 
@@ -67,14 +68,16 @@ def evidence_in(model: Model, state: State, one: Passed) -> Evidence:
     """What the pictures of a passed frame say of poses, by what is known now."""
     none = np.zeros_like(state.covariance)
     out = frozenset(state.left_out)
-    frame = despeckled(steadied(one.seen, bumps_in(model, one), model.rig))
+    frame = despeckled(as_calibrated(one.seen, one.estimate, model.rig))
     problem = FrameProblem(model, state, frame, one.estimate.pose, none, none, {}, left_out=out)
     return lost_memory(state).known.evidence(problem)
 
 
-def bumps_in(model: Model, one: Passed) -> Float:
-    """(C, 3) turns of the cameras in a passed frame."""
-    return np.zeros((len(model.rig), 3)) if one.estimate.bumps is None else one.estimate.bumps
+def with_cameras_of(state: State, one: Passed) -> State:
+    """The state with the cameras as they stood, and were named, in a passed frame."""
+    bumps = one.estimate.bumps
+    still = np.zeros_like(state.bumps) if bumps is None else bumps
+    return replace(state, bumps=still, sources=one.estimate.sources)
 
 
 def apart(model: Model, one: Pose, other: Pose) -> Float:

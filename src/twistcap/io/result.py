@@ -68,6 +68,7 @@ class Result:
     left_out: Bool  # (N, C) cameras that were not believed
     missing: Bool  # (N, C) cameras that showed nothing, or nothing new
     bumps: Float  # (N, C, 3) turns of the cameras from where they are calibrated, rad; see `Estimate`
+    sources: Int  # (N, C) under which camera's name each camera's picture came
     predicted: tuple[str, ...]  # N words, the source of the pose that each frame started from; see `Estimate`
     config: Mapping[str, Any]  # what the run was configured with, as JSON data
     versions: Mapping[str, str]  # of the programs, by name
@@ -83,7 +84,8 @@ class Result:
         roots, covariances = np.zeros((0, 4, 4)), np.zeros((0, 6 + J, 6 + J))
         return Result(
             body, rig, none.astype(np.int32), none, roots, np.zeros((0, J)), covariances, {}, (), none.astype(np.int32),
-            none.astype(np.bool_), none, none, parts, cameras, cameras, bumps, (), config, versions, recording,
+            none.astype(np.bool_), none, none, parts, cameras, cameras, bumps,
+            cameras.astype(np.int32), (), config, versions, recording,
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -93,6 +95,11 @@ class Result:
     def known(self) -> Bool:
         """(N,) whether images support the pose: neither lost nor predicted without them."""
         return ~self.lost & ~np.isin(self.statuses, UNSEEN)
+
+    @cached_property
+    def swapped(self) -> Bool:
+        """(N, C) cameras whose pictures came under other names."""
+        return np.asarray(self.sources != np.arange(len(self.rig)), np.bool_)
 
     def within(self, first: int, last: int) -> Result:
         """The frames of a range of frame numbers, both included."""
@@ -133,6 +140,7 @@ class Result:
                 part_probability=None if np.isnan(self.part_probability[n]).all() else self.part_probability[n],
                 left_out=named(self.left_out[n]), missing=named(self.missing[n]),
                 bumps=self.bumps[n] if np.any(self.bumps[n]) else None,
+                sources=tuple(self.sources[n].tolist()) if self.swapped[n].any() else (),
             )
             for n, pose in enumerate(self.poses)
         )  # fmt: skip
@@ -369,11 +377,13 @@ def _camera_of(source: str, held: Mapping[str, Any], i: int) -> Camera:
 
 def _check_frames(rows: Mapping[str, Any], body: Body, cameras: int) -> None:
     wanted = {"q": len(body.coordinate_names), "part_probability": len(body.segment_names)}
-    for name, columns in (wanted | {"left_out": cameras, "missing": cameras, "bumps": cameras}).items():
+    for name, columns in (wanted | dict.fromkeys(("left_out", "missing", "bumps", "sources"), cameras)).items():
         if rows[name].shape[1] != columns:
             raise InputError(f"frames: {name} has {rows[name].shape[1]} columns, not {columns}; track it again.")
     if np.any(np.diff(rows["index"]) <= 0) or np.any(np.diff(rows["time"]) <= 0):
         raise InputError("frames: their numbers or times do not rise; track the recording again.")
+    each = np.sort(rows["sources"], axis=1) == np.arange(cameras)
+    check("frames", np.all(each), "its sources name a camera twice or one that is not there; track the recording again")
     check("frames", np.all(is_motion(rows["root"])), "a root is no rigid motion; track the recording again")
 
 

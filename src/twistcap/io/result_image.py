@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from twistcap.io.result import Result
 
 FORMAT = "twistcap-result"
-FORMAT_VERSION = 7
+FORMAT_VERSION = 8
 BODY_ARRAYS = ("parent", "twists", "limits", "segment_joint", "vertices", "faces", "skin_segments", "skin_weights")
 BODY_NAMES = ("coordinate_names", "segment_names")
 RIG_ARRAYS = ("K", "T_cam_world", "size", "dist")
@@ -69,6 +69,8 @@ def value_of(estimate: Estimate, name: str, shape: tuple[int, ...]) -> Any:
     value = attrgetter(COLUMNS[name].of_estimate)(estimate)
     if name in CAMERAS:
         return np.isin(np.arange(shape[0]), value)
+    if name == "sources":
+        return value or np.arange(shape[0])
     if value is None:
         return np.zeros(shape) if name == "bumps" else np.full(shape, np.nan)
     return value

@@ -79,6 +79,9 @@ def _check_sizes(state: Any, corrected: Sequence[Estimate], model: Model | Diffe
     poses = [one.pose for one in (*state.past.moments, *corrected)]
     if any(pose.q.shape != rest.q.shape or not is_motion(pose.root, 1e-3) for pose in poses):
         raise ValueError("past")
+    own = tuple(range(len(model.rig)))
+    if any(tuple(sorted(one.sources)) not in ((), own) for one in (state, *corrected)):
+        raise ValueError("sources")
     parts = [e.part_probability for e in corrected if e.part_probability is not None]
     given = {*(e.covariance.shape for e in corrected), *(p.shape for p in parts)}
     if not given <= {fresh.covariance.shape, fresh.support.shape}:

@@ -59,12 +59,12 @@ def view_page(
     indices, times = _time_line(list(results.values()))
     every = max(1, -(-len(indices) // max(1, options.images)))
     pictured = np.arange(0, len(indices) if sources else 0, every, dtype=np.int32)
-    drawn = rig if sources else Rig(())
+    drawn, pictures = rig if sources else Rig(()), _pictures(first, sources, indices[pictured], width)
     document = {
         "indices": indices.tolist(),
         "times": np.round(times, 6).tolist(),
         "shown": pictured.tolist(),
-        "cameras": [_camera(camera, sources.get(camera.name), indices[pictured], width) for camera in rig],
+        "cameras": [_camera(camera, pictures[camera.name], width) for camera in rig],
         "runs": [_run(name, result, indices, pictured, drawn, width) for name, result in results.items()],
         "reference": None if reference is None else _reference(reference, first.body, times, rig, pictured, width),
     }
@@ -81,13 +81,29 @@ def _factor(camera: Camera, width: int) -> float:
     return min(1.0, width / camera.size[0])
 
 
-def _camera(camera: Camera, source: Source | None, indices: Int, width: int) -> dict[str, Any]:
-    """Pose, size and images of a camera; an image that was dropped, or does not exist, is null."""
-    images: list[str | None] = []
-    if source is not None:
+def _pictures(
+    result: Result, sources: Mapping[str, Source], indices: Int, width: int
+) -> Mapping[str, Sequence[str | None]]:
+    """The images that each camera took, also where they came under another one's name; None for one that was dropped,
+    or does not exist, and nothing of cameras without a source.
+    """
+    given, names = dict[str, list[str | None]](), result.rig.names
+    for name, source in sources.items():
         wanted = [int(index) for index in indices if index < len(source)]
-        images = [None if image is None else jpeg(image, width) for image in source.read(wanted)]
-        images += [None] * (len(indices) - len(images))
+        read = [None if image is None else jpeg(image, width) for image in source.read(wanted)]
+        given[name] = read + [None] * (len(indices) - len(read))
+    out = {name: list(given.get(name, [])) for name in names}
+    where = {int(index): row for row, index in enumerate(result.indices)}
+    for k, row in enumerate(where.get(int(index), -1) for index in indices):
+        for c in np.flatnonzero(result.swapped[row]) if row >= 0 else ():
+            if names[c] in given:
+                source = given.get(names[result.sources[row, c]])
+                out[names[c]][k] = source[k] if source else None
+    return out
+
+
+def _camera(camera: Camera, images: Sequence[str | None], width: int) -> dict[str, Any]:
+    """Pose, size and images of a camera; those that are not there are null."""
     small = camera.scaled(_factor(camera, width))
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (np.array(camera.size) - 1.0)
     rays = camera.pinhole().normalised(corners)
@@ -96,7 +112,7 @@ def _camera(camera: Camera, source: Source | None, indices: Int, width: int) -> 
     return {
         "name": camera.name,
         "size": list(small.size),
-        "images": images,
+        "images": list(images),
         "centre": camera.centre.tolist(),
         "corners": ends.tolist(),  # of the image at 1 m depth, world
     }

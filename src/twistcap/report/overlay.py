@@ -233,8 +233,9 @@ def draw_mosaic(
     """All views of one frame (H, W, 3) uint8, with the body over them, camera names, frame number and time.
 
     Where its estimate is given, a lost frame has a red border and its most doubtful limbs in red, and a camera that was
-    not believed, or was bumped, says so.
+    not believed, was bumped, or whose picture came under another name says so.
     """
+    frame = frame if estimate is None else frame.sorted_by(estimate.sources)
     canvas = np.full((mosaic.size[1], mosaic.size[0], 3), _INK, np.uint8)
     limbs = {} if posed is None else named_limbs(posed.body)
     lost = estimate is not None and _red(estimate, limbs)

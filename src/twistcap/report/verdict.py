@@ -17,7 +17,7 @@ from twistcap.evaluate.metrics import Row, row
 from twistcap.io.coordinates import coordinates_of
 from twistcap.io.result import Result
 from twistcap.report.page import Statement
-from twistcap.report.words import bump_in_words, in_spans
+from twistcap.report.words import bump_in_words, in_spans, swaps
 
 RELIABLE, CARE = 2.0, 5.0
 """Degrees of σ."""
@@ -57,6 +57,7 @@ def camera_rows(result: Result) -> list[Row]:
     """A table of the frames in which each camera disagreed with the others, was turned back, or showed nothing new."""
     counts = (("frames in which it disagrees and was left out", result.left_out),
               ("frames in which its pictures were turned back", np.any(result.bumps, axis=2)),
+              ("frames in which its pictures came under another name", result.swapped),
               ("frames without anything new", result.missing))  # fmt: skip
     return [
         row(name, what, int(rows[:, c].sum()), f"of {len(result)}", at_most=0)
@@ -146,9 +147,18 @@ def _cameras(result: Result) -> list[Statement]:
     out = result.left_out.mean(axis=0)
     odd = [f"{name} in {100 * share:.0f} %" for name, share in zip(result.rig.names, out, strict=True) if share > 0]
     if not odd:
-        return [Statement(f"None of the {len(result.rig)} cameras was left out.", True), *_bumped(result)]
+        return [Statement(f"None of the {len(result.rig)} cameras was left out.", True), *_elsewhere(result)]
     words = f"Cameras that disagree with the others and were left out: {', '.join(odd)} of the frames. Check them."
-    return [Statement(words, False if out.max() > 1 - _USABLE else None), *_bumped(result)]
+    return [Statement(words, False if out.max() > 1 - _USABLE else None), *_elsewhere(result)]
+
+
+def _elsewhere(result: Result) -> list[Statement]:
+    """Statements about cameras that gave other cameras' pictures, or were turned back."""
+    names, swapped = result.rig.names, swaps(result)
+    each = [f"{names[s]} those of {names[c]} from frame {result.indices[np.argmax(rows)]} on" for s, c, rows in swapped]
+    words = f"Cameras that gave the pictures of others: {', '.join(each)}. They were sorted by their backgrounds."
+    mend = "Give the videos their right names, or plug the cables as they were when you calibrated."
+    return [*([Statement(f"{words} {mend}", None)] if each else []), *_bumped(result)]
 
 
 def _bumped(result: Result) -> list[Statement]:

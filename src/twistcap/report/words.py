@@ -65,17 +65,18 @@ def bump_in_words(bump: Float) -> str:
 
 
 def camera_in_words(estimate: Estimate | None, camera: int, pictured: bool = True) -> str:
-    """`left out`, `no image`, `nothing new` (blank, or the one before once more) or `bumped by 1.2°`; empty where all
-    is well.
+    """`left out`, `no image`, `nothing new` (blank, or the one before once more), `swapped` or `bumped by 1.2°`; empty
+    where all is well.
     """
     if estimate is not None and camera in estimate.left_out:
         return "left out"
     if not pictured:
         return "no image"
-    if estimate is None or estimate.bumps is None or camera in estimate.missing:
-        return "nothing new" if estimate is not None and camera in estimate.missing else ""
-    turned = bump_in_words(estimate.bumps[camera])
-    return f"bumped {turned}" if turned else ""
+    if estimate is None or camera in estimate.missing:
+        return "nothing new" if estimate is not None else ""
+    turned = "" if estimate.bumps is None else bump_in_words(estimate.bumps[camera])
+    notes = ["swapped"] * (camera in estimate.swapped) + [f"bumped {turned}"] * bool(turned)
+    return ", ".join(notes)
 
 
 def frame_in_words(estimate: Estimate, limbs: Mapping[str, Bool], cameras: Sequence[str]) -> str:
@@ -84,6 +85,7 @@ def frame_in_words(estimate: Estimate, limbs: Mapping[str, Bool], cameras: Seque
     out = [f"camera {cameras[c]} is left out" for c in estimate.left_out]
     bumps = () if estimate.bumps is None else map(bump_in_words, estimate.bumps)
     out += [f"camera {name} is bumped {turned}" for name, turned in zip(cameras, bumps, strict=False) if turned]
+    out += [f"camera {cameras[estimate.sources[c]]} gives the picture of {cameras[c]}" for c in estimate.swapped]
     some = estimate.missing if len(estimate.missing) < len(cameras) else ()
     return "; ".join(filter(None, [lost, *out, *(f"camera {cameras[c]} shows nothing new" for c in some)]))
 
@@ -94,11 +96,15 @@ def result_in_words(result: Result) -> list[str]:
 
 
 def cameras_in_words(result: Result) -> list[str]:
-    """Sentences about cameras: that they were left out, bumped, or showed nothing for a while."""
+    """Sentences about cameras: that they were left out, bumped, swapped, or showed nothing for a while."""
     none = np.asarray(result.missing.all(axis=1), np.bool_)
     names, out, some = result.rig.names, result.left_out.T, result.missing.T & ~none
     found = [(f"camera {n} was left out", f"; it {CONTRADICTS}", rows) for n, rows in zip(names, out, strict=True)]
     found += [_bumped(n, bumps) for n, bumps in zip(names, result.bumps.swapaxes(0, 1), strict=True)]
+    found += [
+        (f"camera {names[source]} gave the pictures of {names[c]}", " (they count as those)", rows)
+        for source, c, rows in swaps(result)
+    ]
     found += [("no camera showed anything new", f" ({NOTHING_NEW})", none)]
     found += [
         (f"camera {n} showed nothing new", f" ({NOTHING_NEW})", rows) for n, rows in zip(names, some, strict=True)
@@ -108,6 +114,13 @@ def cameras_in_words(result: Result) -> list[str]:
         for what, why, rows in found
         if rows.any()
     ]
+
+
+def swaps(result: Result) -> list[tuple[int, int, Bool]]:
+    """The camera that gave another one's pictures, that one, and the rows (N,) in which it did."""
+    pairs = ((s, c) for s in range(len(result.rig)) for c in range(len(result.rig)) if s != c)
+    each = [(s, c, np.asarray(result.sources[:, c] == s, np.bool_)) for s, c in pairs]
+    return [(s, c, rows) for s, c, rows in each if rows.any()]
 
 
 def _bumped(name: str, bumps: Float) -> tuple[str, str, Bool]:

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, Self, TypeVar
 
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues.observation import Fit, Sight
 from twistcap.cues.view import View
-from twistcap.estimate import Frame
+from twistcap.estimate import Frame, Sources
 from twistcap.features import Channels
 from twistcap.predict.history import Moment, Past
 
-__all__ = ["Beginning", "Problem", "Proposals", "Revision", "Search"]
+__all__ = ["Beginning", "Problem", "Proposals", "Revision", "Search", "with_cameras"]
 
 Views = Mapping[int, View]
 """Views by camera."""
@@ -72,6 +72,10 @@ class Problem(Protocol):
         """The same with just these cameras left out; views that it does not have do not come back."""
         ...
 
+    def sorted_by(self, sources: Sources) -> Problem:
+        """The same with each camera's picture from where it is, and all views of those that were elsewhere."""
+        ...
+
     def turned_back(self, bumps: Mapping[int, Float]) -> Problem:
         """The same with the pictures of some cameras as they were before turns (3,) of them, and all views of them."""
         ...
@@ -103,11 +107,12 @@ class Beginning:
 
     Attributes:
         pose: of the body; None where the images show it nowhere.
-        bumps: as in `Revision`.
+        bumps, sources: as in `Revision`.
     """
 
     pose: Pose | None
     bumps: Mapping[int, Float] = field(default_factory=dict[int, Float])
+    sources: Sources = ()
 
 
 @dataclass(frozen=True)
@@ -122,6 +127,7 @@ class Revision:
         relit: whether all pictures have changed, so that what cues have learnt of the body's look holds no longer.
         bumps: turns (3,) of cameras, as they were when the frame came, for which their pictures are to be turned back
             from now on.
+        sources: where each camera's picture is, in the frame as it came and from now on; () where nothing has changed.
     """
 
     fit: Fit | None
@@ -130,6 +136,21 @@ class Revision:
     left_out: frozenset[int] | None = None
     relit: bool = False
     bumps: Mapping[int, Float] = field(default_factory=dict[int, Float])
+    sources: Sources = ()
+
+
+class _Sorted(Protocol):
+    def sorted_by(self, sources: Sources) -> Self: ...
+    def turned_back(self, bumps: Mapping[int, Float]) -> Self: ...
+
+
+P = TypeVar("P", bound=_Sorted)
+
+
+def with_cameras(problem: P, found: Beginning | Revision) -> P:
+    """The problem with its cameras as a search has found them: where their pictures are, and how they are turned."""
+    problem = problem.sorted_by(found.sources) if found.sources else problem
+    return problem.turned_back(found.bumps) if found.bumps else problem
 
 
 class Search(Protocol):

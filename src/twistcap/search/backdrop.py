@@ -97,9 +97,13 @@ class Backdrop:
 
     def is_in(self, features: Float32) -> bool:
         """Whether a small picture (h, w, C) shows it, be it noisy; that of another camera has hardly a pixel of it."""
+        return self.shown(features) >= _SHOWN
+
+    def shown(self, features: Float32) -> float:
+        """Fraction of the pixels that are known which fit a small picture (h, w, C)."""
         mean, inverse, _, known = self.background
         fitting = np.sum((features - mean) ** 2 * inverse, axis=2) < 4.0 * features.shape[2]
-        return bool(np.count_nonzero(fitting & known) >= _SHOWN * np.count_nonzero(known))
+        return float(np.count_nonzero(fitting & known) / max(np.count_nonzero(known), 1))
 
     def _palette(self) -> Palette:
         step = max(1, np.count_nonzero(self.known) // 2000)

@@ -80,6 +80,12 @@ class Judged:
     check: Check
 
 
+def fitted(known: Recollection, problem: Problem) -> Judged:
+    """A problem fitted anew."""
+    fit = problem.align(problem.start)
+    return Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
+
+
 def judged(rule: ContradictionRule, memory: Suspicion, known: Recollection, now: Judged) -> tuple[Judged, Suspicion]:
     """The frame without the cameras that are left out from now on, and what is remembered."""
     memory = memory.of(now.problem.left_out)
@@ -120,9 +126,7 @@ def _without_contradicting(rule: ContradictionRule, known: Recollection, each: F
 
 def _without(cameras: Set[int], known: Recollection, problem: Problem) -> Judged:
     """The frame fitted without some cameras."""
-    problem = problem.excluding(problem.left_out | cameras)
-    fit = problem.align(problem.start)
-    return Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
+    return fitted(known, problem.excluding(problem.left_out | cameras))
 
 
 def _there(known: Recollection, camera: int, others: Judged) -> Check:

@@ -24,7 +24,7 @@ from twistcap.ranges import Checked, Count, Range, Share
 from twistcap.search import Beginning, Problem, Proposals, Revision
 from twistcap.search.beside import BesideRule, agreement, beside, limbs_beside
 from twistcap.search.bump import BumpRule, Unrest
-from twistcap.search.contradiction import ContradictionRule, Judged, judged
+from twistcap.search.contradiction import ContradictionRule, Judged, fitted, judged
 from twistcap.search.doubt import DoubtRule
 from twistcap.search.evidence import Evidence
 from twistcap.search.flag import MOST_USUAL, USUAL, at_limits, contour_signs, displaced, flag_groups, image_signs
@@ -34,6 +34,7 @@ from twistcap.search.placing import Hypothesis, Placing, PlacingRule
 from twistcap.search.recollection import Covered, Recollection
 from twistcap.search.stances import bundled, lowest
 from twistcap.search.surroundings import Surroundings
+from twistcap.search.swap import SwapRule
 from twistcap.stages import stage
 
 
@@ -95,6 +96,7 @@ class LostBody(Checked):
     beside: BesideRule = field(default_factory=BesideRule)
     limb: LimbRule = field(default_factory=LimbRule)
     bump: BumpRule = field(default_factory=BumpRule)
+    swap: SwapRule = field(default_factory=SwapRule)
     doubt: DoubtRule = field(default_factory=DoubtRule)
     proposals: Proposals | None = None
     name: str = field(default="lost body", init=False)
@@ -115,14 +117,17 @@ class LostBody(Checked):
             return None, memory
         if memory.waiting:
             return Beginning(None) if memory.nowhere else None, replace(memory, waiting=memory.waiting - 1)
+        sources = self.swap.sources(memory.known, problem)
+        problem = problem.sorted_by(sources) if sources else problem
         bumps = self.bump.unseen(memory.known, problem)  # a camera may have been knocked on the way out
-        problem = problem.excluding(problem.left_out - bumps.keys()).turned_back(bumps) if bumps else problem
+        problem = problem.turned_back(bumps) if bumps else problem
         pose = self._searched(memory, problem)
         if pose is not None:
-            return Beginning(pose, bumps), replace(memory, nowhere=False, found=np.ones(len(memory.groups)))
+            found = np.ones(len(memory.groups))
+            return Beginning(pose, bumps, sources), replace(memory, nowhere=False, found=found)
         if not memory.known.sure:
-            return Beginning(problem.start, bumps) if bumps else None, memory
-        return Beginning(None, bumps), replace(memory, waiting=self.again - 1, nowhere=True)
+            return Beginning(problem.start, bumps, sources) if bumps or sources else None, memory
+        return Beginning(None, bumps, sources), replace(memory, waiting=self.again - 1, nowhere=True)
 
     def revise(self, memory: LostMemory, problem: Problem, fit: Fit) -> tuple[Revision | None, LostMemory]:
         """The body elsewhere, where the fit is lost; else the fit is learned from."""
@@ -135,17 +140,16 @@ class LostBody(Checked):
                 now = Judged(problem, other, known.check(other.posed, other.sights, problem))
                 return self._at(problem, other), self._learned(self._signed(memory, now), now, 1.0)
         now = Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
+        sources = self.swap.sources(known, problem) if self.swap.suspected(known, now) else ()
+        now = fitted(known, problem.sorted_by(sources)) if sources else now
         bumps, unrest = self.bump.bumps(memory.unrest, known, now)
-        memory = replace(memory, unrest=unrest)
-        if not bumps:
-            return self._revised(memory, now)
-        problem = problem.excluding(problem.left_out - bumps.keys()).turned_back(bumps)
-        fit = problem.align(problem.start)
-        now = Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
-        revision, memory = self._revised(memory, now)
-        revision = revision or Revision(fit, problem.past.moments[-1])
-        left_out = problem.left_out if revision.left_out is None else revision.left_out
-        return replace(revision, bumps=bumps, left_out=left_out), memory
+        now = fitted(known, now.problem.turned_back(bumps)) if bumps else now
+        revision, memory = self._revised(replace(memory, unrest=unrest), now)
+        if not bumps and not sources:
+            return revision, memory
+        revision = revision or Revision(now.fit, problem.past.moments[-1])
+        left_out = now.problem.left_out if revision.left_out is None else revision.left_out
+        return replace(revision, bumps=bumps, sources=sources, left_out=left_out), memory
 
     def _revised(self, memory: LostMemory, now: Judged) -> tuple[Revision | None, LostMemory]:
         """`revise` with cameras that stand where they are believed to."""
@@ -188,11 +192,8 @@ class LostBody(Checked):
         seen = ~np.isnan(fitting)
         if known.in_sight(now.check) < self.seen or not seen.any() or np.any(fitting[seen] >= self.relit):
             return None
-        problem = now.problem.without_look()
-        fit = problem.align(problem.start)
-        if agreement(fit) < self.agreeing:
-            return None
-        return Judged(problem, fit, known.forgotten().check(fit.posed, fit.sights, problem))
+        again = fitted(known.forgotten(), now.problem.without_look())
+        return again if agreement(again.fit) >= self.agreeing else None
 
     def _usual(self, memory: LostMemory) -> Float:
         """(G, 3) what the contour says against each limb and the rest, as of a body that is not exact."""

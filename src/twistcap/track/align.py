@@ -23,7 +23,7 @@ from twistcap.cues.observation import (
     total_agreement,
 )
 from twistcap.cues.view import View, steadied
-from twistcap.estimate import Frame
+from twistcap.estimate import Frame, Sources
 from twistcap.features import Channels
 from twistcap.predict.claims import Uncertainty
 from twistcap.predict.history import Past
@@ -115,6 +115,12 @@ class FrameProblem:
         """See `search.Problem`."""
         return replace(self, left_out=left_out, views={i: v for i, v in self.views.items() if i not in left_out})
 
+    def sorted_by(self, sources: Sources) -> FrameProblem:
+        """See `search.Problem`."""
+        bumps, swapped = self.state.bumps, {c for c, source in enumerate(sources) if source != c}
+        frame = steadied(steadied(self.frame, -bumps, self.rig).sorted_by(sources), bumps, self.rig)
+        return replace(self, frame=frame, left_out=self.left_out - swapped).at(self.start)
+
     def turned_back(self, bumps: Mapping[int, Float]) -> FrameProblem:
         """See `search.Problem`."""
         now, every = np.zeros_like(self.state.bumps), self.state.bumps.copy()
@@ -122,7 +128,8 @@ class FrameProblem:
             now[i], turn = bump, after_both(every[i], bump)
             every[i] = turn if np.linalg.norm(turn) > _NO_TURN else 0.0
         frame = steadied(self.frame, now, self.rig)
-        return replace(self, frame=frame, state=replace(self.state, bumps=every)).at(self.start)
+        left_out, state = self.left_out - bumps.keys(), replace(self.state, bumps=every)
+        return replace(self, frame=frame, state=state, left_out=left_out).at(self.start)
 
     def look(self, camera_index: int, posed: Posed) -> Sight | None:
         """See `search.Problem`."""

@@ -77,9 +77,8 @@ class Model:
         lists = self.cues, self.predictors, self.searches
         cues, predictors, searches = ({one.name: one.start(body, self.rig) for one in ones} for ones in lists)
         zero, still = np.zeros((body.dof, body.dof)), np.zeros((len(self.rig), 3))
-        return State(
-            past, zero, zero, np.ones(parts), np.zeros(parts, np.bool_), (), still, (), 0, cues, predictors, searches
-        )
+        support, occluded = np.ones(parts), np.zeros(parts, np.bool_)
+        return State(past, zero, zero, support, occluded, (), still, (), (), 0, cues, predictors, searches)
 
     def views(
         self, frame: Frame, pose: Pose, margin: float = MARGIN, left_out: Collection[int] = ()

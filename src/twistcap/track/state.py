@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from twistcap.arrays import Bool, Float
+from twistcap.estimate import Sources
 from twistcap.predict.history import Past
 
 
@@ -22,6 +23,7 @@ class State:
         occluded: (S,) parts that no view shows.
         left_out: cameras that are not believed.
         bumps: (C, 3) turn of each camera from where it is calibrated, in its own frame, rad; 0 for none.
+        sources: under which names the cameras' pictures come, if they are swapped.
         prints: fingerprints of the last frame's pictures, as `cues.view.with_news` makes them.
         learned: frames that have been learned from.
         cues, predictors, searches: their memories, by name.
@@ -34,6 +36,7 @@ class State:
     occluded: Bool
     left_out: tuple[int, ...]
     bumps: Float
+    sources: Sources
     prints: tuple[int, ...]
     learned: int
     cues: Mapping[str, Any]

@@ -20,6 +20,7 @@ from twistcap.estimate import Estimate, Frame
 from twistcap.predict import Prediction
 from twistcap.predict.claims import with_information
 from twistcap.predict.history import Moment, jumped
+from twistcap.search import with_cameras
 from twistcap.search.flag import flag_groups, judged, segment_deviations, support_signs
 from twistcap.search.memory import LostMemory
 from twistcap.solve import inverse
@@ -51,14 +52,15 @@ def step(state: Any, frame: Frame, model: Model | DifferentialModel) -> tuple[An
     if isinstance(model, Model):
         model = replace(model, predictors=model.predictors[-1:])  # it always answers; another may be what failed
     after, blind = _stepped(state, replace(frame, images=(None,) * len(frame.images), keypoints=None), model)
-    return after, replace(blind, status="failed", lost=True, support=0.0, missing=missing(frame))
+    gone = frame.sorted_by(blind.sources).missing
+    return after, replace(blind, status="failed", lost=True, support=0.0, missing=gone)
 
 
 def _stepped(state: Any, frame: Frame, model: Model | DifferentialModel) -> tuple[Any, Estimate]:
     if isinstance(model, DifferentialModel):
         return by_brightness(state, frame, model)
     frame, prints = with_news(frame, state.prints, state.past.in_motion)
-    frame = steadied(frame, state.bumps, model.rig)
+    frame = steadied(frame.sorted_by(state.sources), state.bumps, model.rig)
     frame, state = despeckled(frame), replace(state, prints=prints)
     prediction, state = predicted(state, frame, model)
     problem, nowhere = begun(posed_problem(state, frame, model, prediction), prediction)
@@ -107,8 +109,8 @@ def begun(problem: FrameProblem, prediction: Prediction) -> tuple[FrameProblem, 
         if beginning is not None:
             break
     problem = replace(problem, state=replace(problem.state, searches=memories))
-    if beginning is not None and (bumps := beginning.bumps):
-        problem = problem.excluding(problem.left_out - bumps.keys()).turned_back(bumps)
+    if beginning is not None:
+        problem = with_cameras(problem, beginning)
     if beginning is None or (prediction.name == "motion" and beginning.pose is None):
         return problem, False
     if beginning.pose is None:
@@ -137,8 +139,8 @@ def searched(problem: FrameProblem, fit: Fit) -> tuple[FrameProblem, Fit | None,
             past = problem.past.with_last(revision.last)
             problem = replace(problem, state=problem.state.with_past(past))
             problem = problem.without_look() if revision.relit else problem
+            problem = with_cameras(problem, revision)
             problem = problem if revision.left_out is None else problem.excluding(revision.left_out)
-            problem = problem.turned_back(revision.bumps) if revision.bumps else problem
         if found is None:
             break
         fit = found
@@ -157,14 +159,14 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     support = problem.support(fit)
     after = State(
         past, posterior, claimed, support, _occluded(model, fit), tuple(sorted(problem.left_out)), state.bumps,
-        state.prints, state.learned + 1, cues, predictors, state.searches
+        frame.sources, state.prints, state.learned + 1, cues, predictors, state.searches
     )  # fmt: skip
     claims, least = _with_priors(model, fit.posed, claimed), float(support.min())
     by_part, probability = _loss(after, model, fit)
     lost = probability >= model.flag.lost
     return after, Estimate(
         frame.index, frame.time, fit.pose, claims, fit.energies, fit.status, fit.steps,
-        lost, least, prediction.name, probability, by_part, after.left_out, missing(frame), _bumps(after),
+        lost, least, prediction.name, probability, by_part, after.left_out, frame.missing, after.bumps, frame.sources,
     )  # fmt: skip
 
 
@@ -207,23 +209,13 @@ def unseen(problem: FrameProblem, prediction: Prediction, gone: bool = False) ->
     blind = all(image is None for image in frame.images)
     pose = prediction.pose if blind or prediction.name == "motion" else problem.past.last
     after = problem.state.with_past(problem.past.advanced(Moment(frame.time, pose, seen=False)))
-    after = replace(after, left_out=()) if gone else after
+    after = replace(after, sources=frame.sources, left_out=() if gone else after.left_out)
     claimed = problem.state.claimed + problem.process_noise
     farthest = float(segment_deviations(Posed(model.body, pose), claimed).max())
     probability = model.flag.blind(frame.time - problem.past.seen_time, farthest, gone)
     status = "no_images" if blind else "not_found"
     return after, Estimate(
         frame.index, frame.time, pose, claimed, {}, status, 0,
-        probability >= model.flag.lost, 0.0, prediction.name, probability, None, after.left_out, missing(frame),
-        _bumps(after),
+        probability >= model.flag.lost, 0.0, prediction.name, probability, None, after.left_out, frame.missing,
+        after.bumps, frame.sources,
     )  # fmt: skip
-
-
-def _bumps(state: State) -> Float | None:
-    """(C, 3) turns of the cameras, if any."""
-    return state.bumps if np.any(state.bumps) else None
-
-
-def missing(frame: Frame) -> tuple[int, ...]:
-    """Cameras that have no picture, or none with news."""
-    return tuple(i for i, image in enumerate(frame.images) if image is None)

@@ -150,7 +150,7 @@ def _tracked(
             estimate = tracker.step(frame)
             lost += estimate.lost
             if (k in chosen or frame.index in take.masks) and estimate.seen and not estimate.lost:
-                out.append(_Moment(t, frame, estimate.pose, k == 0))
+                out.append(_Moment(t, frame.sorted_by(estimate.sources), estimate.pose, k == 0))
             report(f"{take.name}, frame {frame.index}")
         if 2 * lost > total or all(m.take != t for m in out):
             mend = "a body cannot be fitted to it; check its first pose and its cameras"

@@ -170,7 +170,7 @@ def _looked_for(
         tell("looking", k + 1)
         if k % step == 0:
             for c in wrong:
-                image = frame.images[c]
+                image = frame.sorted_by(estimates[k].sources).images[c]
                 pictures[c].append(None if image is None else small_picture(image, rig[c], posed))
     return {c: turned_towards(rig[c], pictures[c], posed[: len(pictures[c])], settings.channels) for c in wrong}
 

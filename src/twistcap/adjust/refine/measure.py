@@ -22,7 +22,7 @@ from twistcap.cues.brightness import Brightness, cell_of
 from twistcap.cues.contour import ContourCue
 from twistcap.cues.memory import empty_grid, strongest_in_cells
 from twistcap.cues.support import SupportRule
-from twistcap.cues.view import View, crop_view, despeckled, steadied
+from twistcap.cues.view import View, as_calibrated, crop_view, despeckled
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.render import RenderedView, SurfacePoints, render, visible_contour
@@ -68,8 +68,7 @@ class SequenceImages:
             if frame is None or estimate is None or frame.index != estimate.index:
                 raise InputError("refine: the frames are not those of the estimates; give those that were tracked.")
             posed, margin = Posed(self.body, estimate.pose), MARGIN + _ROOM
-            still = frame if estimate.bumps is None else steadied(frame, estimate.bumps, self.rig)
-            for i, image in enumerate(despeckled(still).images):
+            for i, image in enumerate(despeckled(as_calibrated(frame, estimate, self.rig)).images):
                 if image is None or i in estimate.left_out:
                     self.views[i].append(None)
                     continue
