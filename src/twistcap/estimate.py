@@ -95,6 +95,7 @@ class Estimate:
         missing: cameras whose picture was missing, blank, or the one before once more.
         bumps: (C, 3) turn of each camera from where it is calibrated, in its own frame, rad; None where nobody looks.
         sources: under which names the cameras' pictures came, if they were swapped.
+        relit: whether all pictures have just changed, as by another light, so that the body's look was learnt again.
     """
 
     index: int
@@ -113,6 +114,7 @@ class Estimate:
     missing: tuple[int, ...] = ()
     bumps: Float | None = None
     sources: Sources = ()
+    relit: bool = False
 
     @property
     def swapped(self) -> tuple[int, ...]:

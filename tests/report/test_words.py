@@ -153,6 +153,15 @@ def test_a_camera_that_gives_another_ones_pictures_is_said_to(tmp_path: Path) ->
     assert told[3][1] == "frame 6: camera cam1 gives its own pictures again"
 
 
+def test_another_light_is_said(tmp_path: Path) -> None:
+    relit = estimate(1, relit=True)
+    assert frame_in_words(relit, LIMBS, ("cam0", "cam1")) == "another light?"
+    made = result(tmp_path / "a.h5", [estimate(0), relit, estimate(2)])
+    assert [e.relit for e in made.estimates] == [False, True, False]
+    said = "all pictures changed at once in 1 frame: 2 (another light? The body's look was learned again)"
+    assert cameras_in_words(made) == [said]
+
+
 def test_a_mosaic_shows_each_camera_s_own_picture() -> None:
     rig, posed = ring(2), Posed(BODY, Pose.rest(BODY))
     grey = [np.full((rig[c].size[1], rig[c].size[0], 3), level, np.uint8) for c, level in enumerate((60, 180))]

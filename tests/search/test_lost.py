@@ -28,7 +28,7 @@ from twistcap.search.lost import LostBody
 from twistcap.search.placing import Stance
 from twistcap.search.stances import bundled
 from twistcap.studio import StudioConfig, capture
-from twistcap.track import Model
+from twistcap.track import Model, Tracker
 from twistcap.track.step import posed_problem
 
 BUMP = np.deg2rad([0.9, -1.6, 0.8])
@@ -257,6 +257,16 @@ def test_a_switched_light_moves_nothing(factor: float, more: tuple[float, ...]) 
 
     errors = [error for error, _ in tracked_walk(switched)]
     assert max(errors) < 0.04
+
+
+def test_a_switched_light_is_said_in_the_frame_in_which_it_is() -> None:
+    """Nothing is said of the first frame, in which all is learned for the first time."""
+    scene, frames = walk()
+    dark = [replace(f, images=tuple(np.asarray(i // 2, np.uint8) for i in f.images if i is not None)) for f in frames]
+    tracker = Tracker(build(scene.body, scene.rig))
+    tracker.start(scene.first_pose)
+    relit = [tracker.step(dark[k] if k >= 14 else frames[k]).relit for k in range(18)]
+    assert relit == [k == 14 for k in range(18)]
 
 
 def test_a_mirror_image_has_its_landmarks_mirrored() -> None:

@@ -69,6 +69,7 @@ class Result:
     missing: Bool  # (N, C) cameras that showed nothing, or nothing new
     bumps: Float  # (N, C, 3) turns of the cameras from where they are calibrated, rad; see `Estimate`
     sources: Int  # (N, C) under which camera's name each camera's picture came
+    relit: Bool  # (N,) whether all pictures changed, as by another light
     predicted: tuple[str, ...]  # N words, the source of the pose that each frame started from; see `Estimate`
     config: Mapping[str, Any]  # what the run was configured with, as JSON data
     versions: Mapping[str, str]  # of the programs, by name
@@ -85,7 +86,7 @@ class Result:
         return Result(
             body, rig, none.astype(np.int32), none, roots, np.zeros((0, J)), covariances, {}, (), none.astype(np.int32),
             none.astype(np.bool_), none, none, parts, cameras, cameras, bumps,
-            cameras.astype(np.int32), (), config, versions, recording,
+            cameras.astype(np.int32), none.astype(np.bool_), (), config, versions, recording,
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -140,7 +141,7 @@ class Result:
                 part_probability=None if np.isnan(self.part_probability[n]).all() else self.part_probability[n],
                 left_out=named(self.left_out[n]), missing=named(self.missing[n]),
                 bumps=self.bumps[n] if np.any(self.bumps[n]) else None,
-                sources=tuple(self.sources[n].tolist()) if self.swapped[n].any() else (),
+                sources=tuple(self.sources[n].tolist()) if self.swapped[n].any() else (), relit=bool(self.relit[n]),
             )
             for n, pose in enumerate(self.poses)
         )  # fmt: skip

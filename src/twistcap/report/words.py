@@ -85,6 +85,7 @@ def frame_in_words(estimate: Estimate, limbs: Mapping[str, Bool], cameras: Seque
     out = [f"camera {cameras[c]} is left out" for c in estimate.left_out]
     bumps = () if estimate.bumps is None else map(bump_in_words, estimate.bumps)
     out += [f"camera {name} is bumped {turned}" for name, turned in zip(cameras, bumps, strict=False) if turned]
+    out += ["another light?"] * estimate.relit
     out += [f"camera {cameras[estimate.sources[c]]} gives the picture of {cameras[c]}" for c in estimate.swapped]
     some = estimate.missing if len(estimate.missing) < len(cameras) else ()
     return "; ".join(filter(None, [lost, *out, *(f"camera {cameras[c]} shows nothing new" for c in some)]))
@@ -105,6 +106,7 @@ def cameras_in_words(result: Result) -> list[str]:
         (f"camera {names[source]} gave the pictures of {names[c]}", " (they count as those)", rows)
         for source, c, rows in swaps(result)
     ]
+    found += [("all pictures changed at once", " (another light? The body's look was learned again)", result.relit)]
     found += [("no camera showed anything new", f" ({NOTHING_NEW})", none)]
     found += [
         (f"camera {n} showed nothing new", f" ({NOTHING_NEW})", rows) for n, rows in zip(names, some, strict=True)

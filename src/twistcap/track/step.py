@@ -163,10 +163,10 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     )  # fmt: skip
     claims, least = _with_priors(model, fit.posed, claimed), float(support.min())
     by_part, probability = _loss(after, model, fit)
-    lost = probability >= model.flag.lost
     return after, Estimate(
         frame.index, frame.time, fit.pose, claims, fit.energies, fit.status, fit.steps,
-        lost, least, prediction.name, probability, by_part, after.left_out, frame.missing, after.bumps, frame.sources,
+        probability >= model.flag.lost, least, prediction.name, probability, by_part, after.left_out, frame.missing,
+        after.bumps, frame.sources, relit=problem.past.started and state.learned == 0,
     )  # fmt: skip
 
 
