@@ -11,7 +11,7 @@ from twistcap.estimate import Sources
 from twistcap.ranges import Checked, Count, Share
 from twistcap.search import Problem
 from twistcap.search.backdrop import small_features
-from twistcap.search.contradiction import Judged
+from twistcap.search.contradiction import Judged, fitted
 from twistcap.search.recollection import Recollection
 
 
@@ -22,36 +22,52 @@ class SwapRule(Checked):
     Attributes:
         misfit: fraction of the background that fits, over what is usual, below which pictures are compared.
         every: frames between that while a camera is left out.
-        shown: fraction of a background's pixels that fit, from which on a picture shows it.
-        own: the same, below which a picture does not show its own camera's.
+        shown: fraction of a background's pixels that fit, from which on a picture shows it. Two cameras in one room
+            may have a third of them in common.
+        clear: by how much more of another background must fit than of its own.
     """
 
     misfit: Share = 0.75
     every: Count = 3
     shown: Share = 0.5
-    own: Share = 0.25
+    clear: Share = 0.25
 
-    def suspected(self, known: Recollection, now: Judged) -> bool:
+    def _suspected(self, known: Recollection, now: Judged) -> bool:
         """Whether a background is no longer what it was; of a camera that is left out, nobody knows."""
         left_out = now.problem.left_out and now.problem.frame.index % self.every == 0
         return bool(left_out or np.any(now.check.fitting < self.misfit * known.fitting))  # NaN is not
 
+    def sorted_by(self, known: Recollection, now: Judged) -> tuple[Sources, Judged]:
+        """The frame with each camera's picture from where it is, if the body is clearer then; () and as it is if not.
+
+        Exposures that waver may make the plain walls of two cameras alike.
+        """
+        sources = self.sources(known, now.problem) if self._suspected(known, now) else ()
+        if not sources:
+            return (), now
+        again = fitted(known, now.problem.sorted_by(sources))
+        clearer = np.nan_to_num(known.ratio(again.check)) > np.nan_to_num(known.ratio(now.check))
+        return (sources, again) if clearer else ((), now)
+
     def sources(self, known: Recollection, problem: Problem) -> Sources:
         """Where each camera's picture is, if some cameras show each other's backgrounds; () if not."""
         pictured = [c for c, image in enumerate(problem.frame.images) if image is not None]
-        strange = [c for c in pictured if 0.0 <= self._shown(known, problem, c, c) < self.own]
-        shows = {c: self._most(known, problem, c, strange) for c in (strange if len(strange) > 1 else ())}
+        own = {c: self._shown(known, problem, c, c) for c in pictured}
+        strange = [c for c in pictured if 0.0 <= own[c] < self.shown]
+        shows = {c: self._most(known, problem, c, strange, own[c]) for c in (strange if len(strange) > 1 else ())}
         shows = {c: of for c, of in shows.items() if of is not None}
         if not shows or {*shows} != {*shows.values()}:
             return ()
         of = {camera: c for c, camera in shows.items()}
         return tuple(of.get(camera, camera) for camera in range(len(known.backdrops)))
 
-    def _most(self, known: Recollection, problem: Problem, camera: int, others: Sequence[int]) -> int | None:
-        """Which other camera's background a picture shows."""
+    def _most(
+        self, known: Recollection, problem: Problem, camera: int, others: Sequence[int], own: float
+    ) -> int | None:
+        """Which other camera's background a picture shows, of which it shows so much of its own."""
         each = {of: self._shown(known, problem, camera, of) for of in others if of != camera}
         best = max(each, key=lambda of: each[of])
-        return best if each[best] >= self.shown else None
+        return best if each[best] >= max(self.shown, own + self.clear) else None
 
     @staticmethod
     def _shown(known: Recollection, problem: Problem, camera: int, of: int) -> float:
