@@ -2,9 +2,10 @@
 
 - All images removed for 5, 20 and 60 frames at twelve phases each: is the man found again within ten frames?
 - One camera turned by 2 degrees from frame 50 on: is it named, and does the track go on?
+- The videos of two cameras of one size exchanged for 20 frames, with all cameras and with these two alone.
 - `balance_two_people`: a second person hides the man in part. All four cameras, then each one left out.
 
-The undisturbed track stands for the truth of gaps and bumps, the reference for two people.
+The undisturbed track stands for the truth of gaps, bumps and swaps, the reference for two people.
 
     TWISTCAP_DATA=... python -m reproduce real-faults
 """
@@ -41,6 +42,7 @@ from twistcap.track import Model, State, Tracker
 LENGTHS, PHASES, SOON = (5, 20, 60), 12, 10  # frames of a gap; where it begins; frames after it
 FIRST, LAST = 12, 99  # frames between which gaps and what follows them lie
 BUMPED, DEGREES = 50, 2.0  # from which frame on, by how much a camera is turned
+PAIRS, SWAPPED = ((0, 1), (2, 3)), range(50, 70)  # cameras that give each other's pictures, and when
 
 
 @dataclass(frozen=True)
@@ -48,10 +50,10 @@ class RealFaults:
     """The experiment; see `Experiment`. Nothing in it is random, so that seeds change nothing."""
 
     id: str = "real-faults"
-    says: str = "a real recording with gaps and with a bumped camera, and with a second person"
+    says: str = "a real recording with gaps, with bumped or swapped cameras, and with a second person"
 
     def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
-        """Rows of gaps, bumps and two people; result files of two people go into the folder `out`.
+        """Rows of gaps, bumps, swaps and two people; result files of two people go into the folder `out`.
 
         Raises:
             InputError: where TWISTCAP_DATA does not have the recordings.
@@ -60,18 +62,22 @@ class RealFaults:
         data_file("balance_two_people")  # asked for before minutes of tracking
         recording = open_recording(load_session(SESSION))
         frames, rows = list(recording.views), list[Row]()
-        progress("undisturbed", 0, 3)
+        progress("undisturbed", 0, 4)
         model = build(recording.body, recording.views.image_rig)
         plain, states = _undisturbed(model, recording, frames)
         rows += [self._gaps(model, frames, plain, states, length) for length in LENGTHS]
-        progress("gaps", 1, 3)
+        progress("gaps", 1, 4)
         for camera in range(len(CAMERAS)):
             rows += self._bump(model, frames, plain, states, camera)
-        progress("bumps", 2, 3)
+        progress("bumps", 2, 4)
+        for pair in PAIRS:
+            rows += self._swap(recording, pair, None)
+            rows += self._swap(recording, pair, pair)
+        progress("swaps", 3, 4)
         with TemporaryDirectory() as temporary:
             for without in (None, *CAMERAS):
                 rows += self._two_people(recording, without, out or Path(temporary))
-        progress("two people", 3, 3)
+        progress("two people", 4, 4)
         return Findings(rows, "", ())
 
     def _gaps(
@@ -106,6 +112,29 @@ class RealFaults:
             row(case, "lost and not flagged", float(silent), "frames"),
             row(case, "worst joint from the undisturbed track, at the end", float(apart[-SOON:].mean()), "mm"),
         ]
+
+    def _swap(self, recording: Recording, pair: tuple[int, int], use: Sequence[int] | None) -> list[Row]:
+        """The videos of a pair exchanged for a while, seen by some cameras, or by all."""
+        names = [CAMERAS[c] for c in use or range(len(CAMERAS))]
+        session = load_session(SESSION, {"cameras.use": names})
+        views = views_of(session, rig_of(session))
+        one, other = (CAMERAS[c] for c in pair)
+        order = [names.index({one: other, other: one}.get(name, name)) for name in names]
+        frames, exchanged = list(views), list(replace(views, sources=tuple(views.sources[k] for k in order)))
+        model = build(recording.body, views.image_rig)
+        plain, states = _undisturbed(model, recording, frames)
+        first, end = SWAPPED.start, SWAPPED.stop
+        estimates = _tracked(model, states[first], [*exchanged[first:end], *frames[end:]])
+        apart = [_apart_mm(model.body, e, p) for e, p in zip(estimates, plain[first:], strict=True)]
+        swapped = [len(e.swapped) == 2 for e in estimates]
+        case = f"{self.id} {one} and {other} swapped" + ("" if use is None else ", they alone")
+        right = [said == (k in SWAPPED) for k, said in enumerate(swapped, first)]
+        return [
+            row(case, "frames in which that is known", float(np.sum(right)), f"of {len(right)}",
+                at_least=float(len(right))),
+            row(case, "lost frames", float(np.sum(np.array(apart) > LOST_FRAME_MM)), "frames", at_most=0.0),
+            row(case, "worst joint from the undisturbed track, meanwhile", float(np.max(apart[: end - first])), "mm"),
+        ]  # fmt: skip
 
     def _two_people(self, recording: Recording, without: str | None, folder: Path) -> list[Row]:
         """The man by his reference, from the body and the first pose of `balance_4view`."""
