@@ -93,9 +93,9 @@ class Estimate:
             them is in no image, or they look like what is behind them; None where nothing was seen of the body.
         left_out: cameras of the rig that contradict the others and are not believed.
         missing: cameras whose picture was missing, blank, or the one before once more.
-        bumps: (C, 3) turn of each camera from where it is calibrated, in its own frame, rad; None where nobody looks.
+        bumps: (C, 3) turn of each camera from where it is calibrated, in its own frame, rad; None or 0 where none was.
         sources: under which names the cameras' pictures came, if they were swapped.
-        relit: whether all pictures have just changed, as by another light, so that the body's look was learnt again.
+        relit: whether all pictures have just changed, as by another light, so that the body's look was learned again.
     """
 
     index: int

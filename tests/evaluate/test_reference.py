@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ class Tracked:
     poses: list[Pose]
     lost: AnyArray
     covariances: AnyArray = field(default_factory=lambda: np.zeros(0))
+    sources: AnyArray = field(default_factory=lambda: np.zeros((10, 1), np.int32))
 
     @property
     def q(self) -> AnyArray:
@@ -144,6 +145,22 @@ def test_masks_of_distorting_cameras_are_rectified(tracked: Tracked, tmp_path: P
     if any(dist):
         tracked.rig = Rig((camera(),))  # distortion forgotten: clearly worse
         assert rows_of(evaluate(tracked, tmp_path / "masks"))["IoU, mean"] < 0.96
+
+
+def test_masks_of_swapped_cameras_are_those_of_the_camera_that_took_them(tracked: Tracked, tmp_path: Path) -> None:
+    cams = camera(), replace(camera(), name="cam02", T_cam_world=look_at((-2.5, -2.0, 1.0), (0.0, 0.0, 0.0)))
+    tracked.rig = Rig(cams)
+    tracked.sources = np.tile(np.arange(2), (len(tracked.poses), 1))
+    tracked.sources[5] = (1, 0)
+    for k, order in ((0, (0, 1)), (5, (1, 0))):
+        for cam, given in zip(cams, order, strict=True):
+            folder = tmp_path / "masks" / cams[given].name
+            folder.mkdir(parents=True, exist_ok=True)
+            mask = silhouette(cam.P, Posed(tracked.body, tracked.poses[k]).vertices, tracked.body.faces, cam.size)
+            cv2.imwrite(str(folder / f"frame_{20 + k:04d}.png"), mask.astype(np.uint8) * 255)
+    assert rows_of(evaluate(tracked, tmp_path / "masks"))["IoU, least"] == 1.0
+    tracked.sources[5] = (0, 1)
+    assert rows_of(evaluate(tracked, tmp_path / "masks"))["IoU, least"] < 0.9
 
 
 def test_masks_in_another_shape_or_folder_are_refused(tracked: Tracked, tmp_path: Path) -> None:

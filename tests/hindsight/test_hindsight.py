@@ -42,7 +42,9 @@ def test_frames_with_a_wrong_arm_are_put_right_and_no_others(limb: str | None) -
     scene, model, passed, before, state = walk()
     last, passed = passed[-1], passed[:-1]
     wrong = [
-        replace(p, estimate=replace(p.estimate, pose=bent(scene.body, p.estimate.pose))) if k in WRONG else p
+        replace(p, estimate=replace(p.estimate, pose=bent(scene.body, p.estimate.pose), relit=k == WRONG[2]))
+        if k in WRONG
+        else p
         for k, p in enumerate(passed)
     ]
     assert errors(scene, [wrong[k].estimate for k in WRONG]).min() > 150.0
@@ -50,6 +52,7 @@ def test_frames_with_a_wrong_arm_are_put_right_and_no_others(limb: str | None) -
     after, better = looked_back(LookBack(), model, before, state, wrong)
     assert [e.index for e in better] == list(WRONG)
     assert errors(scene, better).max() < 30.0
+    assert [e.relit for e in better] == [k == WRONG[2] for k in WRONG]  # when the light changed, the first track knows
     assert [e.time for e in better] == [passed[k].frame.time for k in WRONG]
     poses = [m.pose for m in after.past.moments]
     assert all(np.array_equal(poses[e.index].q, e.pose.q) for e in better)

@@ -144,7 +144,7 @@ def test_a_camera_that_gives_another_ones_pictures_is_said_to(tmp_path: Path) ->
         "camera cam1 gave the pictures of cam0 in 2 frames: 2–4 (they count as those)",
     ]
     words = [statement.text for statement in verdict_of(made)]
-    given = "gave the pictures of others: cam0 those of cam1 from frame 2 on, cam1 those of cam0 from frame 2 on. They"
+    given = "gave the pictures of others: cam0 those of cam1 in 2–4, cam1 those of cam0 in 2–4. They"
     assert any(given in text for text in words)
     believed = Believed(("cam0", "cam1"))
     told = [believed.news(e) for e in made.estimates]

@@ -269,6 +269,13 @@ def test_a_switched_light_is_said_in_the_frame_in_which_it_is() -> None:
     assert relit == [k == 14 for k in range(18)]
 
 
+def test_a_first_frame_without_pictures_is_no_other_light() -> None:
+    scene, frames = walk()
+    tracker = Tracker(build(scene.body, scene.rig))
+    tracker.start(scene.first_pose)
+    assert not any(tracker.step(_gone(frames[0]) if k == 0 else frames[k]).relit for k in range(3))
+
+
 def test_a_mirror_image_has_its_landmarks_mirrored() -> None:
     body = humanoid()
     q = np.random.default_rng(0).uniform(-0.4, 0.4, body.dof - 6)

@@ -14,6 +14,7 @@ from twistcap.cues.view import as_calibrated
 from twistcap.estimate import Estimate, Frame, Keypoints
 from twistcap.hindsight import Passed
 from twistcap.predict import Prediction
+from twistcap.search.contradiction import fitted
 from twistcap.search.swap import SwapRule
 from twistcap.track import Model
 from twistcap.track.align import FrameProblem
@@ -93,6 +94,28 @@ def test_only_cameras_that_show_each_other_s_backgrounds_are_swapped(
     assert rule.sources(known, replace(problem, frame=dark)) == ()
     missing = replace(problem.frame, images=(None, *problem.frame.images[1:]))
     assert rule.sources(known, replace(problem, frame=missing)) == ()
+
+
+def test_cameras_that_were_left_out_are_sorted_where_the_body_is_clear_then() -> None:
+    """A camera alone agrees better with itself than three do: that is no measure. They are looked at in every third
+    frame."""
+    state, problem = _problem(_given(walk()[1][12], PAIR))
+    known = state.searches["lost body"].known
+    alone = fitted(known, problem.excluding(frozenset({0, 1})))
+    rule = SwapRule()
+    assert rule.sorted_by(known, alone, 4) == ((), alone)
+    sources, again = rule.sorted_by(known, alone, 3)
+    assert sources == _sources(PAIR) and again.problem.left_out == frozenset() and len(again.fit.sights) == 3
+    assert rule.sorted_by(known, replace(alone, problem=alone.problem.sorted_by(PAIR)), 3)[0] == ()
+
+
+def test_pictures_are_not_sorted_where_the_body_is_no_clearer_then() -> None:
+    state, problem = _problem(walk()[1][12])
+    known = state.searches["lost body"].known
+    wrong = replace(known, backdrops=(known.backdrops[1], known.backdrops[0], known.backdrops[2]))
+    assert SwapRule().sources(wrong, problem) == _sources(PAIR)
+    right = fitted(known, problem)
+    assert SwapRule().sorted_by(wrong, right, 1)[0] == ()
 
 
 def test_pictures_of_other_sizes_are_never_taken_for_each_other() -> None:

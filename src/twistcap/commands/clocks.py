@@ -60,7 +60,7 @@ def clocks_in_words(session: Any, views: Any, result: Any, watched: Watched | No
     span = range(chosen[0].index, chosen[-1].index + 1, steps.pop())
     shown = replace(views, indices=span, moved=False)
     timeline, settings = views.timeline, session.tracker_settings
-    own = [replace(e, left_out=()) for e in chosen]
+    own = [replace(e, left_out=e.swapped) for e in chosen]
     found = estimate_clocks(
         shown, result.body, views.image_rig, own, shown.lags, timeline.reference, settings
     )  # fmt: skip

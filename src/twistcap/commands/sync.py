@@ -230,12 +230,17 @@ def _one_pass(session: Any, clocks: dict[str, Clock], count: int) -> _Pass:
     timeline = views.timeline
     with terminal.status("estimating clocks") as report:
         body, rig, settings = recording.body, views.image_rig, session.tracker_settings
-        own = [replace(e, left_out=()) for e in estimates]
+        own = [replace(e, left_out=e.swapped) for e in estimates]
         found = estimate_clocks(
             replace(views, moved=False), body, rig, own, views.lags, timeline.reference, settings, report=report
         )  # fmt: skip
     frame = timeline.intervals[timeline.reference]
-    keypoints = _keypoint_clock(session, recording, found.poses.poses, (views.lags + found.late[:, None]) / frame)
+    swapped = any(e.sources for e in estimates)  # then keypoints are not those of their cameras
+    keypoints = (
+        None
+        if swapped
+        else _keypoint_clock(session, recording, found.poses.poses, (views.lags + found.late[:, None]) / frame)
+    )
     doubts = _doubts(rig.names, estimates)
     return _Pass(found.late, found.sigma, frame, len(estimates), doubts, together, keypoints)
 

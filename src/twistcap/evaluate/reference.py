@@ -266,11 +266,13 @@ def _overlaps(result: Result, folder: Path) -> Iterator[Overlap]:
     if unknown or not subfolders:
         what = f"a folder {unknown[0]!r}" if unknown else "no folders"
         raise InputError(f"the masks in {folder} have {what}; name one folder per camera: {', '.join(cameras)}.")
+    rectifiers = [Rectifier(camera) for camera in result.rig]
     for path in subfolders:
-        camera, rectify = cameras[path.name], Rectifier(cameras[path.name])
+        camera, number = cameras[path.name], result.rig.names.index(path.name)
         for file in sorted(path.glob("*.png")):
             k = frames.get(_frame_number(file))
             if k is not None:
+                rectify = rectifiers[int(np.argmax(result.sources[k] == number))]  # of the camera that took it
                 mask = rectify(_read_mask(file, camera), nearest=True) > 127
                 seen_by, vertices = rectify.camera, Posed(result.body, result.poses[k]).vertices
                 seen = metrics.silhouette(seen_by.P, vertices, result.body.faces, seen_by.size)

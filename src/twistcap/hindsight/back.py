@@ -120,7 +120,7 @@ def _tracked_again(
         first, second = one.estimate.pose, estimate.pose
         if apart(model, first, second)[own].max() < rule.met:
             return ways, "met" if since >= _JUST else "led back"
-        estimate = replace(estimate, time=one.frame.time)
+        estimate = replace(estimate, time=one.frame.time, relit=one.estimate.relit)
         each = [estimate] if found[-1] else [estimate, with_limbs(model, one.estimate, estimate, moved, own)]
         evidence = evidence_in(model, state, one)
         usual = evidence.of(first)

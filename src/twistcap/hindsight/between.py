@@ -159,6 +159,7 @@ def _tracked_again(
         _, found = step(there, one.seen, model)
         if found.status in _BLIND:
             return [], []
+        found = replace(found, relit=one.estimate.relit)
         limb = with_limbs(model, one.estimate, found, stretch.limb, stretch.parts)
         whole.append(Again(found, pictures.favour(one, found.pose)))
         alone.append(Again(limb, pictures.favour(one, limb.pose)))

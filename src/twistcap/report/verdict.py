@@ -147,15 +147,15 @@ def _cameras(result: Result) -> list[Statement]:
     out = result.left_out.mean(axis=0)
     odd = [f"{name} in {100 * share:.0f} %" for name, share in zip(result.rig.names, out, strict=True) if share > 0]
     if not odd:
-        return [Statement(f"None of the {len(result.rig)} cameras was left out.", True), *_elsewhere(result)]
+        return [Statement(f"None of the {len(result.rig)} cameras was left out.", True), *_displaced(result)]
     words = f"Cameras that disagree with the others and were left out: {', '.join(odd)} of the frames. Check them."
-    return [Statement(words, False if out.max() > 1 - _USABLE else None), *_elsewhere(result)]
+    return [Statement(words, False if out.max() > 1 - _USABLE else None), *_displaced(result)]
 
 
-def _elsewhere(result: Result) -> list[Statement]:
+def _displaced(result: Result) -> list[Statement]:
     """Statements about cameras that gave other cameras' pictures, or were turned back."""
     names, swapped = result.rig.names, swaps(result)
-    each = [f"{names[s]} those of {names[c]} from frame {result.indices[np.argmax(rows)]} on" for s, c, rows in swapped]
+    each = [f"{names[s]} those of {names[c]} in {in_spans(result.indices, rows)}" for s, c, rows in swapped]
     words = f"Cameras that gave the pictures of others: {', '.join(each)}. They were sorted by their backgrounds."
     mend = "Give the videos their right names, or plug the cables as they were when you calibrated."
     return [*([Statement(f"{words} {mend}", None)] if each else []), *_bumped(result)]

@@ -127,7 +127,7 @@ class Revision:
         relit: whether all pictures have changed, so that what cues have learnt of the body's look holds no longer.
         bumps: turns (3,) of cameras, as they were when the frame came, for which their pictures are to be turned back
             from now on.
-        sources: where each camera's picture is, in the frame as it came and from now on; () where nothing has changed.
+        sources: where each camera's picture is in the problem's frame, from now on; () where nothing has changed.
     """
 
     fit: Fit | None

@@ -96,7 +96,7 @@ class Backdrop:
         return background_of(*self.moments, self.known)
 
     def is_in(self, features: Float32) -> bool:
-        """Whether a small picture (h, w, C) shows it, be it noisy; that of another camera has hardly a pixel of it."""
+        """Whether a small picture (h, w, C) shows it, be it noisy; most of that of another camera is not in it."""
         return self.shown(features) >= _SHOWN
 
     def shown(self, features: Float32) -> float:

@@ -140,7 +140,7 @@ class LostBody(Checked):
                 now = Judged(problem, other, known.check(other.posed, other.sights, problem))
                 return self._at(problem, other), self._learned(self._signed(memory, now), now, 1.0)
         now = Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
-        sources, now = self.swap.sorted_by(known, now)
+        sources, now = self.swap.sorted_by(known, now, memory.frames)
         bumps, unrest = self.bump.bumps(memory.unrest, known, now)
         now = fitted(known, now.problem.turned_back(bumps)) if bumps else now
         revision, memory = self._revised(replace(memory, unrest=unrest), now)

@@ -22,6 +22,7 @@ class SwapRule(Checked):
     Attributes:
         misfit: fraction of the background that fits, over what is usual, below which pictures are compared.
         every: frames between that while a camera is left out.
+        good: evidence of the body over what is usual, from which on the sorting is believed if cameras were left out.
         shown: fraction of a background's pixels that fit, from which on a picture shows it. Two cameras in one room
             may have a third of them in common.
         clear: by how much more of another background must fit than of its own.
@@ -29,25 +30,28 @@ class SwapRule(Checked):
 
     misfit: Share = 0.75
     every: Count = 3
+    good: float = 0.8
     shown: Share = 0.5
     clear: Share = 0.25
 
-    def _suspected(self, known: Recollection, now: Judged) -> bool:
-        """Whether a background is no longer what it was; of a camera that is left out, nobody knows."""
-        left_out = now.problem.left_out and now.problem.frame.index % self.every == 0
-        return bool(left_out or np.any(now.check.fitting < self.misfit * known.fitting))  # NaN is not
-
-    def sorted_by(self, known: Recollection, now: Judged) -> tuple[Sources, Judged]:
+    def sorted_by(self, known: Recollection, now: Judged, frames: int) -> tuple[Sources, Judged]:
         """The frame with each camera's picture from where it is, if the body is clearer then; () and as it is if not.
 
-        Exposures that waver may make the plain walls of two cameras alike.
+        Exposures that waver may make the plain walls of two cameras alike. Where swapped cameras were left out, the
+        others alone are no measure: fewer cameras are easier to please. `frames` are counted.
         """
-        sources = self.sources(known, now.problem) if self._suspected(known, now) else ()
+        sources = self.sources(known, now.problem) if self._suspected(known, now, frames) else ()
         if not sources:
             return (), now
         again = fitted(known, now.problem.sorted_by(sources))
-        clearer = np.nan_to_num(known.ratio(again.check)) > np.nan_to_num(known.ratio(now.check))
+        before = self.good if again.problem.left_out != now.problem.left_out else known.ratio(now.check)
+        clearer = np.nan_to_num(known.ratio(again.check)) >= np.nan_to_num(before)
         return (sources, again) if clearer else ((), now)
+
+    def _suspected(self, known: Recollection, now: Judged, frames: int) -> bool:
+        """Whether a background is no longer what it was; of a camera that is left out, nobody knows."""
+        left_out = now.problem.left_out and frames % self.every == 0
+        return bool(left_out or np.any(now.check.fitting < self.misfit * known.fitting))  # NaN is not
 
     def sources(self, known: Recollection, problem: Problem) -> Sources:
         """Where each camera's picture is, if some cameras show each other's backgrounds; () if not."""

@@ -52,7 +52,7 @@ class FrameProblem:
         information: (6 + J, 6 + J) with which the pose is drawn there.
         views: the images about it, by camera.
         trust: how far the images are believed, 0 … 1.
-        left_out: cameras that are not believed.
+        left_out, relit: cameras that are not believed; whether the look is learned again, in another light.
     """
 
     model: Model
@@ -64,6 +64,7 @@ class FrameProblem:
     views: Mapping[int, View]
     trust: float = 1.0
     left_out: frozenset[int] = frozenset()
+    relit: bool = False
 
     @property
     def body(self) -> Body:
@@ -109,7 +110,7 @@ class FrameProblem:
     def without_look(self) -> FrameProblem:
         """See `search.Problem`."""
         cues = {cue.name: cue.start(self.body, self.rig) for cue in self.model.cues}
-        return replace(self, state=replace(self.state, cues=cues, learned=0))
+        return replace(self, state=replace(self.state, cues=cues, learned=0), relit=True)
 
     def excluding(self, left_out: frozenset[int]) -> FrameProblem:
         """See `search.Problem`."""

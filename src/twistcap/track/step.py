@@ -136,8 +136,7 @@ def searched(problem: FrameProblem, fit: Fit) -> tuple[FrameProblem, Fit | None,
             revision, memories[search.name] = search.revise(memories[search.name], problem, fit)
         if revision is not None:
             found, jump = revision.fit, jump or revision.jumped
-            past = problem.past.with_last(revision.last)
-            problem = replace(problem, state=problem.state.with_past(past))
+            problem = replace(problem, state=problem.state.with_past(problem.past.with_last(revision.last)))
             problem = problem.without_look() if revision.relit else problem
             problem = with_cameras(problem, revision)
             problem = problem if revision.left_out is None else problem.excluding(revision.left_out)
@@ -166,7 +165,7 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     return after, Estimate(
         frame.index, frame.time, fit.pose, claims, fit.energies, fit.status, fit.steps,
         probability >= model.flag.lost, least, prediction.name, probability, by_part, after.left_out, frame.missing,
-        after.bumps, frame.sources, relit=problem.past.started and state.learned == 0,
+        after.bumps, frame.sources, relit=problem.relit,
     )  # fmt: skip
 
 
@@ -209,7 +208,7 @@ def unseen(problem: FrameProblem, prediction: Prediction, gone: bool = False) ->
     blind = all(image is None for image in frame.images)
     pose = prediction.pose if blind or prediction.name == "motion" else problem.past.last
     after = problem.state.with_past(problem.past.advanced(Moment(frame.time, pose, seen=False)))
-    after = replace(after, sources=frame.sources, left_out=() if gone else after.left_out)
+    after = replace(after, sources=frame.sources, left_out=() if gone else tuple(sorted(problem.left_out)))
     claimed = problem.state.claimed + problem.process_noise
     farthest = float(segment_deviations(Posed(model.body, pose), claimed).max())
     probability = model.flag.blind(frame.time - problem.past.seen_time, farthest, gone)

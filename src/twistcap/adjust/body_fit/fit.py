@@ -164,7 +164,9 @@ def _observed(moments: Sequence[_Moment], posed: Sequence[Posed], takes: Sequenc
     def one(moment: _Moment, at: Posed) -> list[Observed]:
         take = takes[moment.take]
         masks, images = take.masks.get(moment.frame.index), moment.frame.images
-        return observe(images, take.rig, at) if masks is None else observe_masks(masks, take.rig, at)
+        if masks is None:
+            return observe(images, take.rig, at)
+        return observe_masks([masks[s] for s in moment.frame.sources] or masks, take.rig, at)
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         out = list(pool.map(one, moments, posed))
