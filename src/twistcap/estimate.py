@@ -68,6 +68,15 @@ class Frame:
         """Cameras without a picture."""
         return tuple(i for i, image in enumerate(self.images) if image is None)
 
+    @property
+    def brightness(self) -> Float:
+        """(C,) mean of each picture in [0, 1], by every fifth pixel each way; NaN where there is none."""
+        return np.array([np.nan if image is None else _mean(image) for image in self.images])
+
+
+def _mean(image: AnyArray) -> float:
+    return float(image[::5, ::5].mean()) / (255.0 if image.dtype == np.uint8 else 1.0)
+
 
 UNSEEN = ("no_images", "not_found")
 """Statuses of frames whose pose is a prediction."""
@@ -96,6 +105,7 @@ class Estimate:
         bumps: (C, 3) turn of each camera from where it is calibrated, in its own frame, rad; None or 0 where none was.
         sources: under which names the cameras' pictures came, if they were swapped.
         relit: whether all pictures have just changed, as by another light, so that the body's look was learned again.
+        brightness: (C,) mean of each camera's picture in [0, 1], NaN where there is none; None where nobody looked.
     """
 
     index: int
@@ -115,6 +125,7 @@ class Estimate:
     bumps: Float | None = None
     sources: Sources = ()
     relit: bool = False
+    brightness: Float | None = None
 
     @property
     def swapped(self) -> tuple[int, ...]:

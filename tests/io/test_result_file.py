@@ -334,7 +334,7 @@ def test_what_is_no_result_is_told(tmp_path: Path) -> None:
         read_result(path)
 
 
-@pytest.mark.parametrize("name", ["q", "part_probability", "left_out", "missing", "bumps", "sources"])
+@pytest.mark.parametrize("name", ["q", "part_probability", "left_out", "missing", "bumps", "sources", "brightness"])
 def test_frames_must_fit_the_body_and_the_cameras(name: str, tmp_path: Path) -> None:
     path = write(tmp_path / "r.h5")
     with h5py.File(path, "r+") as file:
@@ -343,9 +343,10 @@ def test_frames_must_fit_the_body_and_the_cameras(name: str, tmp_path: Path) -> 
         frames[name] = np.hstack([rows, rows[:, :1]])
         columns = frames[name].shape[1]
         wide = {"covariance": np.zeros((len(rows), 9, 9)), "bumps": np.zeros((len(rows), columns, 3))}
-        cameras = ("left_out", "missing", "bumps", "sources")
+        cameras = ("left_out", "missing", "bumps", "sources", "brightness")
         of_cameras = [other for other in cameras if other != name]
         wide["sources"] = np.tile(np.arange(columns, dtype=np.int16), (len(rows), 1))
+        wide["brightness"] = np.zeros((len(rows), columns), np.float32)
         others = (dict.fromkeys(cameras, of_cameras) | {"q": ["covariance"]}).get(name, [])
         for other in others:  # else they would not fit each other
             del frames[other]

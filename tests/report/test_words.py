@@ -23,10 +23,12 @@ from twistcap.io.result import Result, ResultWriter, read_result
 from twistcap.report.overlay import LOST, draw_mosaic, mosaic_for
 from twistcap.report.verdict import camera_rows, chosen_rows, verdict_of
 from twistcap.report.words import (
+    beside_in_words,
     camera_in_words,
     cameras_in_words,
     doubtful,
     doubtful_in_words,
+    flickering,
     frame_in_words,
     result_in_words,
     state_in_words,
@@ -160,6 +162,61 @@ def test_another_light_is_said(tmp_path: Path) -> None:
     assert [e.relit for e in made.estimates] == [False, True, False]
     said = "all pictures changed at once in 1 frame: 2 (another light? The body's look was learned again)"
     assert cameras_in_words(made) == [said]
+
+
+FLICKER = np.array([0.4, 0.4, 0.4, 0.55, 0.3, 0.5, 0.35, 0.4, 0.4, 0.4])
+
+
+@pytest.mark.parametrize(
+    ("brightness", "rows"),
+    [
+        (FLICKER, range(2, 8)),
+        (FLICKER[2:8], range(6)),  # a short track
+        (np.where(np.arange(10) < 5, 0.4, 0.7), []),  # a switched light
+        (0.4 * 1.2 ** np.arange(5), []),  # an exposure that grows
+        (0.4 + 0.01 * np.sin(np.arange(20)), []),  # somebody walks by
+        (np.where(np.arange(10) % 2, np.nan, 0.4), []),  # pictures are missing
+        (np.full(3, np.nan), []),
+        (np.zeros(0), []),
+    ],
+)
+def test_pictures_flicker_where_they_get_brighter_and_darker_again_and_again(brightness: Float, rows: range) -> None:
+    assert np.flatnonzero(flickering(brightness)).tolist() == [*rows]
+
+
+def test_flicker_is_said_of_a_camera_or_of_all(tmp_path: Path) -> None:
+    still = np.full(10, 0.4)
+
+    def said(*each: Float) -> list[str]:
+        estimates = [estimate(k, brightness=row) for k, row in enumerate(np.transpose(each))]
+        return cameras_in_words(result(tmp_path / "a.h5", estimates))
+
+    why = "of their mean; lamps that flicker, or automatic exposure?)"
+    assert said(still, FLICKER) == [
+        f"the pictures of camera cam1 got brighter and darker in 6 frames: 4–14 (by 32 % {why}"
+    ]
+    assert said(FLICKER, 0.9 * FLICKER) == [
+        f"the pictures of all cameras got brighter and darker in 6 frames: 4–14 (by 32 % {why}"
+    ]
+    assert not said(still, still) and not said(np.full(10, np.nan), still)
+
+
+def test_a_first_pose_beside_the_body_is_said() -> None:
+    given = Pose.rest(BODY)
+    root, q = given.root.copy(), given.q.copy()
+    root[0, 3] += 0.3
+    shifted, found = Pose(root, q), estimate(0)
+    assert not beside_in_words(BODY, given, found)
+    said = "frame 0 shows the body 0.30 m from the first pose; it is tracked there"
+    assert beside_in_words(BODY, shifted, found) == said
+    q[BODY.coordinate_names.index("arm_flex_l")] += 1.2
+    limb = beside_in_words(BODY, Pose(given.root, q), found)
+    assert limb.startswith("frame 0 shows left arm 0.") and "right" not in limb
+    both = beside_in_words(BODY, Pose(root, q), found)
+    assert both.startswith("frame 0 shows the body 0.30 m, left arm 0.")
+    assert not any(
+        beside_in_words(BODY, shifted, replace(found, **but)) for but in ({"lost": True}, {"status": "not_found"})
+    )
 
 
 def test_a_mosaic_shows_each_camera_s_own_picture() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twistcap.body import Pose
 from twistcap.commands.cameras import ELSEWHERE
 from twistcap.commands.clocks import suspects
 from twistcap.commands.terminal import progress, say
@@ -17,7 +18,7 @@ from twistcap.estimate import Estimate, Frame
 from twistcap.hindsight import Hindsight, Passed
 from twistcap.io.result import Result, ResultWriter, read_result, read_state
 from twistcap.io.state import from_bytes, to_bytes
-from twistcap.report.words import CONTRADICTS
+from twistcap.report.words import CONTRADICTS, beside_in_words
 from twistcap.track import Tracker
 
 _LEFT_OUT, _BELIEVED = f"is left out; it {CONTRADICTS}", "is believed again"
@@ -30,10 +31,13 @@ STATE_EVERY = 10
 
 @dataclass
 class Timing:
-    """Milliseconds of the tracker alone, decoding apart, frame by frame; and the frames that were corrected later."""
+    """Milliseconds of the tracker alone, decoding apart, frame by frame; the frames that were corrected later; and what
+    is to be said of the first one.
+    """
 
     ms: list[float] = field(default_factory=list[float])
     corrected: set[int] = field(default_factory=set[int])
+    beside: str = ""
 
     @property
     def median(self) -> float:
@@ -72,11 +76,12 @@ class Believed:
 
 
 def follow(
-    frames: Iterable[Frame], total: int, tracker: Tracker, writer: ResultWriter, passed: Iterable[Passed] = ()
-) -> Timing:
+    frames: Iterable[Frame], total: int, tracker: Tracker, writer: ResultWriter, passed: Iterable[Passed] = (),
+    given: Pose | None = None,
+) -> Timing:  # fmt: skip
     """Track all frames; each is in the file before the next is touched. The InputError of a bad frame says so.
 
-    `passed` are frames that have been tracked before.
+    `passed` are frames that have been tracked before, `given` is the first pose of those that have not.
     """
     timing, believed, hindsight = Timing(), Believed(tracker.model.rig.names), Hindsight(tracker, passed=passed)
     with progress("tracking", total) as advance:
@@ -92,7 +97,11 @@ def follow(
                     writer.save_state(to_bytes(tracker.state, corrected))  # a kill from here on corrects them later
                     writer.correct(corrected)
                     timing.corrected.update(e.index for e in corrected)
-                for sentence in believed.news(estimate, suspects(tracker)):
+                news = believed.news(estimate, suspects(tracker))
+                if given is not None and (beside := beside_in_words(tracker.model.body, given, estimate)):
+                    timing.beside, news = beside, [beside, *news]
+                given = None
+                for sentence in news:
                     say(sentence)
                 advance(f"{timing.ms[-1]:.0f} ms{'  LOST' if estimate.lost else ''}")
             if len(writer):

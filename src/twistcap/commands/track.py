@@ -102,7 +102,7 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
             apart = clocks_in_words(session, views, result, watched)
         elsewhere = () if watched is None else np.flatnonzero(watched.since >= 0).tolist()
         wrong = places_and_clocks(mend_in_words(result, path, elsewhere), apart)
-        statements = [*result_in_words(result), *wrong]
+        statements = [*result_in_words(result), *filter(None, [timing.beside]), *wrong]
         files = [path, *_outputs(session, views, result, folder, timing, norms, statements)]
     lost = result.indices[result.lost].tolist()
     out, turned, swapped = (
@@ -142,7 +142,8 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
     tracker.start(recording.first_pose, recording.first_time)
     config = session.model_dump(mode="json")
     with ResultWriter(path, recording.body, recording.rig, config, made, len(views), lock) as writer:
-        return views, _kept(_shown(session, views), tracker, writer, path), watched_by(tracker)
+        kept = _kept(_shown(session, views), tracker, writer, path, given=recording.first_pose)
+        return views, kept, watched_by(tracker)
 
 
 def _resumed(session: Any, path: Path, done: Any, begin: Begin, lock: Any) -> tuple[Any, Timing, Any]:
@@ -212,11 +213,11 @@ def _passed(views: Any, estimates: Sequence[Any]) -> Iterator[Any]:
         yield from map(Passed, views.starting_at(last[0].index), last)
 
 
-def _kept(views: Any, tracker: Any, writer: Any, path: Path, passed: Iterable[Any] = ()) -> Timing:
+def _kept(views: Any, tracker: Any, writer: Any, path: Path, passed: Iterable[Any] = (), given: Any = None) -> Timing:
     from twistcap.commands.follow import follow
 
     try:
-        return follow(views, len(views), tracker, writer, passed)
+        return follow(views, len(views), tracker, writer, passed, given)
     except KeyboardInterrupt:
         terminal.say(f"interrupted: the first {len(writer)} frames are kept in {path}; go on with --resume")
         raise typer.Exit(130) from None

@@ -77,6 +77,7 @@ def step(track: Track, frame: Frame, model: DifferentialModel) -> tuple[Track, E
     return after, Estimate(
         frame.index, frame.time, pose, covariance, {"brightness": found.energy}, status, found.steps,
         lost=not finite or support < _LOST, support=support, predicted="constant_velocity",
+        brightness=frame.brightness,
     )  # fmt: skip
 
 

@@ -70,6 +70,7 @@ class Result:
     bumps: Float  # (N, C, 3) turns of the cameras from where they are calibrated, rad; see `Estimate`
     sources: Int  # (N, C) under which camera's name each camera's picture came
     relit: Bool  # (N,) whether all pictures changed, as by another light
+    brightness: Float  # (N, C) mean of each camera's picture in [0, 1]; NaN where there is none
     predicted: tuple[str, ...]  # N words, the source of the pose that each frame started from; see `Estimate`
     config: Mapping[str, Any]  # what the run was configured with, as JSON data
     versions: Mapping[str, str]  # of the programs, by name
@@ -86,7 +87,7 @@ class Result:
         return Result(
             body, rig, none.astype(np.int32), none, roots, np.zeros((0, J)), covariances, {}, (), none.astype(np.int32),
             none.astype(np.bool_), none, none, parts, cameras, cameras, bumps,
-            cameras.astype(np.int32), none.astype(np.bool_), (), config, versions, recording,
+            cameras.astype(np.int32), none.astype(np.bool_), np.zeros(cameras.shape), (), config, versions, recording,
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -142,6 +143,7 @@ class Result:
                 left_out=named(self.left_out[n]), missing=named(self.missing[n]),
                 bumps=self.bumps[n] if np.any(self.bumps[n]) else None,
                 sources=tuple(self.sources[n].tolist()) if self.swapped[n].any() else (), relit=bool(self.relit[n]),
+                brightness=None if np.isnan(self.brightness[n]).all() else self.brightness[n],
             )
             for n, pose in enumerate(self.poses)
         )  # fmt: skip
@@ -378,7 +380,9 @@ def _camera_of(source: str, held: Mapping[str, Any], i: int) -> Camera:
 
 def _check_frames(rows: Mapping[str, Any], body: Body, cameras: int) -> None:
     wanted = {"q": len(body.coordinate_names), "part_probability": len(body.segment_names)}
-    for name, columns in (wanted | dict.fromkeys(("left_out", "missing", "bumps", "sources"), cameras)).items():
+    for name, columns in (
+        wanted | dict.fromkeys(("left_out", "missing", "bumps", "sources", "brightness"), cameras)
+    ).items():
         if rows[name].shape[1] != columns:
             raise InputError(f"frames: {name} has {rows[name].shape[1]} columns, not {columns}; track it again.")
     if np.any(np.diff(rows["index"]) <= 0) or np.any(np.diff(rows["time"]) <= 0):

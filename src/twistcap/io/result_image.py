@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from twistcap.io.result import Result
 
 FORMAT = "twistcap-result"
-FORMAT_VERSION = 8
+FORMAT_VERSION = 9
 BODY_ARRAYS = ("parent", "twists", "limits", "segment_joint", "vertices", "faces", "skin_segments", "skin_weights")
 BODY_NAMES = ("coordinate_names", "segment_names")
 RIG_ARRAYS = ("K", "T_cam_world", "size", "dist")

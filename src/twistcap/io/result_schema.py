@@ -68,6 +68,7 @@ COLUMNS: Mapping[str, Column] = {
     "bumps": Column("bumps", "bumps", "f8", real("N", "C", 3, least=-4.0, most=4.0)),
     "sources": Column("sources", "sources", "i2", whole("N", "C", least=0)),
     "relit": Column("relit", "relit", "bool", flag("N")),
+    "brightness": Column("brightness", "brightness", "f4", real("N", "C", **_SHARE, gaps=True)),
     "predicted": Column("predicted", "predicted", string_dtype("ascii", NAME_BYTES), word("N")),
     # The last one to be written: it says that the frame is whole.
     "index": Column("indices", "index", "i8", whole("N", least=0, most=1 << 30)),

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from twistcap.arrays import Bool, Float, Int, runs
+from twistcap.body import Body, Pose, Posed
 from twistcap.body.limbs import most_of_limbs, named_limbs
 from twistcap.estimate import Estimate
 from twistcap.io.result import Result
@@ -18,6 +19,8 @@ _SPANS = 12  # most that a sentence lists
 CONTRADICTS = "contradicts the others (bumped, frozen, late or swapped?)"
 NOTHING_NEW = "a picture that is missing, blank, or the one before once more"
 _UNSEEN_WORDS = {"no_images": "no images", "not_found": "not found", "failed": "failed"}
+_STEP, _STEPS, _OF = 0.06, 4, 7  # of log brightness; so many such steps, of so many, and no person makes them
+_BESIDE = 0.1  # m from which on a first pose was wrong
 _SIDES = {"_l": "left ", "_r": "right "}
 
 
@@ -91,6 +94,21 @@ def frame_in_words(estimate: Estimate, limbs: Mapping[str, Bool], cameras: Seque
     return "; ".join(filter(None, [lost, *out, *(f"camera {cameras[c]} shows nothing new" for c in some)]))
 
 
+def beside_in_words(body: Body, given: Pose, estimate: Estimate) -> str:
+    """Where the first frame shows the body, or limbs of it, if that is not at the given first pose; empty where it is,
+    or nobody knows.
+    """
+    if estimate.lost or not estimate.seen:
+        return ""
+    shift = Posed(body, estimate.pose).segment_middles - Posed(body, given).segment_middles
+    whole, limbs = float(np.linalg.norm(np.median(shift, axis=0))), named_limbs(body)
+    own = np.linalg.norm(shift - np.median(shift, axis=0), axis=1)
+    moved = {limb_in_words(name): float(own[parts].max()) for name, parts in limbs.items()}
+    found = [f"the body {whole:.2f} m"] if whole > _BESIDE else []
+    found += [f"{name} {far:.2f} m" for name, far in moved.items() if far > max(_BESIDE, whole)]
+    return f"frame {estimate.index} shows {', '.join(found)} from the first pose; it is tracked there" if found else ""
+
+
 def result_in_words(result: Result) -> list[str]:
     """Sentences about frames that are lost, cameras that were left out, and pictures that showed nothing new."""
     return [_lost(result), *_unseen(result), *cameras_in_words(result)] if len(result) else []
@@ -107,6 +125,7 @@ def cameras_in_words(result: Result) -> list[str]:
         for source, c, rows in swaps(result)
     ]
     found += [("all pictures changed at once", " (another light? The body's look was learned again)", result.relit)]
+    found += _flicker(result)
     found += [("no camera showed anything new", f" ({NOTHING_NEW})", none)]
     found += [
         (f"camera {n} showed nothing new", f" ({NOTHING_NEW})", rows) for n, rows in zip(names, some, strict=True)
@@ -130,6 +149,43 @@ def _bumped(name: str, bumps: Float) -> tuple[str, str, Bool]:
     rows = np.asarray(np.any(bumps, axis=1), np.bool_)
     most = bump_in_words(bumps[np.linalg.norm(bumps, axis=1).argmax()])
     return f"camera {name} was out of its place", f" (turned {most} at most; its pictures are turned back)", rows
+
+
+def _flicker(result: Result) -> list[tuple[str, str, Bool]]:
+    """What is said of pictures that get brighter and darker, and of which rows (N,): of all cameras together where most
+    of it is in all of them.
+    """
+    each = np.array([flickering(one) for one in result.brightness.T])
+    whose = [(f"camera {name}", [c], rows) for c, (name, rows) in enumerate(zip(result.rig.names, each, strict=True))]
+    if 2 * each.all(axis=0).sum() > each.any(axis=0).sum():
+        whose = [("all cameras", [*range(len(each))], np.asarray(each.any(axis=0), np.bool_))]
+    return [
+        (f"the pictures of {who} got brighter and darker", _wavered(result.brightness[rows][:, own]), rows)
+        for who, own, rows in whose
+        if rows.any()
+    ]
+
+
+def _wavered(brightness: Float) -> str:
+    """How far brightness (N, C) strays from its mean, and what may have been the cause."""
+    shown = [one[~np.isnan(one)] for one in brightness.T]
+    most = max(float(np.abs(one / one.mean() - 1.0).max()) for one in shown if len(one))
+    return f" (by {100.0 * most:.0f} % of their mean; lamps that flicker, or automatic exposure?)"
+
+
+def flickering(brightness: Float) -> Bool:
+    """(N,) frames about which a camera's brightness (N,) goes up and down: four steps of seven successive ones are of
+    more than 6 %, some of them up and some down. A switched light is one step.
+    """
+    steps = np.nan_to_num(np.diff(np.log(np.maximum(brightness, 1e-3))))
+    out = np.zeros(len(brightness), np.bool_)
+    for first in range(max(len(steps) - _OF, 0) + 1):
+        strong = steps[first : first + _OF]
+        up, down = (strong > _STEP).sum(), (strong < -_STEP).sum()
+        if up and down and up + down >= _STEPS:
+            which = first + np.flatnonzero(np.abs(strong) > _STEP)
+            out[which[0] : which[-1] + 2] = True
+    return out
 
 
 def in_spans(indices: Int, rows: Bool, notes: Sequence[str] = ()) -> str:

@@ -165,7 +165,7 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     return after, Estimate(
         frame.index, frame.time, fit.pose, claims, fit.energies, fit.status, fit.steps,
         probability >= model.flag.lost, least, prediction.name, probability, by_part, after.left_out, frame.missing,
-        after.bumps, frame.sources, relit=problem.relit,
+        after.bumps, frame.sources, problem.relit, frame.brightness,
     )  # fmt: skip
 
 
@@ -216,5 +216,5 @@ def unseen(problem: FrameProblem, prediction: Prediction, gone: bool = False) ->
     return after, Estimate(
         frame.index, frame.time, pose, claimed, {}, status, 0,
         probability >= model.flag.lost, 0.0, prediction.name, probability, None, after.left_out, frame.missing,
-        after.bumps, frame.sources,
+        after.bumps, frame.sources, brightness=frame.brightness,
     )  # fmt: skip
