@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from hindsight.walks import bent, errors, walk, with_poses
+from hindsight.walks import Misled, bent, errors, walk, with_poses
 from twistcap import hindsight
 from twistcap.arrays import Float
-from twistcap.body import Body, Pose
-from twistcap.camera import Rig
-from twistcap.cues.observation import Fit
-from twistcap.estimate import Frame
+from twistcap.body import Pose
 from twistcap.hindsight import Passed, between, looked_between, tracked
-from twistcap.hindsight.passed import for_second_track
-from twistcap.predict import Past, Prediction
 from twistcap.search.doubt import DoubtRule
 from twistcap.search.flag import shortfall
 from twistcap.search.limb import LimbRule
@@ -115,36 +110,12 @@ def test_what_lacked_is_remembered_frame_by_frame() -> None:
     assert then.begun_anew().lacked is None
 
 
-@dataclass(frozen=True)
-class Misled:
-    """A predictor that is sure, in some frames, that an arm is elsewhere; then it knows better."""
-
-    name: str = "misled"
-
-    def start(self, body: Body, rig: Rig) -> None:
-        """Nothing is remembered."""
-
-    def predict(self, memory: None, past: Past, frame: Frame) -> tuple[Prediction | None, None]:
-        if frame.index not in (*ASTRAY, ASTRAY.stop):
-            return None, None
-        scene, *_ = walk()
-        true = scene.true_poses[frame.index]
-        sure = np.eye(6 + len(true.q))
-        pose = bent(scene.body, true) if frame.index in ASTRAY else true
-        return Prediction(pose, self.name, 1e-4 * sure, (1e8 if frame.index in ASTRAY else 1e2) * sure), None
-
-    def learn(self, memory: None, fit: Fit, past: Past, frame: Frame) -> None:
-        """Nothing."""
-
-
 def test_an_arm_that_went_astray_in_tracking_is_right_in_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """No search finds it; it comes back by itself, and what the pictures lacked meanwhile tells of it."""
     scene, plain, *_ = walk()
     never = LimbRule(lacking=9.0, in_view=9.0, late=1.0, slipped=1.0, bare=1.0)
     model = replace(plain, searches=(LostBody(limb=never, doubt=DoubtRule(doubtful=1.0)),))
-    again = for_second_track(model)
-    monkeypatch.setattr(between, "for_second_track", lambda _model: again)
-    model = replace(model, predictors=(Misled(), *model.predictors))
+    model = replace(model, predictors=(Misled(ASTRAY, scene.body, scene.true_poses, back=True), *model.predictors))
 
     def worst() -> Float:
         return errors(scene, list(tracked(scene.frames(), model, scene.first_pose)))

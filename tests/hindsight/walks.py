@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -11,14 +12,48 @@ from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.limbs import named_limbs
 from twistcap.build import build
-from twistcap.estimate import Estimate
+from twistcap.camera import Rig
+from twistcap.cues.observation import Fit
+from twistcap.estimate import Estimate, Frame
 from twistcap.hindsight import Passed
+from twistcap.predict import Past, Prediction
 from twistcap.search.memory import LostMemory
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Model, State, Tracker
 
 WRONG = range(12, 20)  # frames in which the arm is taken to be elsewhere
 ARM = "arm_r"
+
+
+@dataclass(frozen=True)
+class Misled:
+    """A predictor that is sure, in some frames, that the right arm is elsewhere; then it knows better, or keeps still.
+
+    Attributes:
+        frames: those.
+        poses: the true poses.
+        back: whether it knows better in the next frame.
+        name: that of a predictor by which nothing is tracked again.
+    """
+
+    frames: range
+    body: Body
+    poses: Sequence[Pose]
+    back: bool
+    name: str = "motion"
+
+    def start(self, body: Body, rig: Rig) -> None:
+        """Nothing is remembered."""
+
+    def predict(self, memory: None, past: Past, frame: Frame) -> tuple[Prediction | None, None]:
+        true, sure = self.poses[frame.index], np.eye(self.body.dof)
+        if frame.index in self.frames:
+            return Prediction(bent(self.body, true), "misled", 1e-4 * sure, 1e8 * sure), None
+        back = self.back and frame.index == self.frames.stop
+        return Prediction(true, "misled", 1e-4 * sure, 1e2 * sure) if back else None, None
+
+    def learn(self, memory: None, fit: Fit, past: Past, frame: Frame) -> None:
+        """Nothing."""
 
 
 @cache

@@ -62,7 +62,7 @@ COLUMNS: Mapping[str, Column] = {
     "lost": Column("lost", "lost", "bool", flag("N")),
     "support": Column("support", "support", "f8", real("N", **_SHARE, gaps=True)),
     "probability": Column("probability", "probability", "f8", real("N", **_SHARE)),
-    "part_probability": Column("part_probability", "part_probability", "f4", real("N", "S", **_SHARE, gaps=True)),
+    "part_probability": Column("part_probability", "part_probability", "f8", real("N", "S", **_SHARE, gaps=True)),
     "left_out": Column("left_out", "left_out", "bool", flag("N", "C")),
     "missing": Column("missing", "missing", "bool", flag("N", "C")),
     "bumps": Column("bumps", "bumps", "f8", real("N", "C", 3, least=-4.0, most=4.0)),
