@@ -1,6 +1,7 @@
 """Frames that have passed are corrected by what is found out later; what is known of them in the end.
 
 `back` tracks them again from what a search has found, `between` from where a limb was before and after it went astray.
+`returned` doubts a limb that more cameras show elsewhere in the frames that fewer saw.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from twistcap.estimate import Estimate, Frame
 from twistcap.hindsight.back import LookBack, looked_back
 from twistcap.hindsight.between import looked_between
 from twistcap.hindsight.passed import Again, Passed
+from twistcap.hindsight.returned import doubted
 from twistcap.priors import Prior
 from twistcap.stages import stage
 from twistcap.track import Model, Tracker
@@ -46,6 +48,7 @@ class Hindsight:
             tracker.state, corrected = looked_back(self.rule, tracker.model, before, tracker.state, self._passed)
             if not corrected:
                 tracker.state, corrected = looked_between(tracker.model, tracker.state, self._passed, estimate)
+            corrected = corrected or doubted(tracker.model, before, tracker.state, self._passed, estimate)
         for k, better in enumerate(reversed(corrected), 1):
             self._passed[-k] = replace(self._passed[-k], estimate=better)
         self._keep(Passed(frame, estimate))

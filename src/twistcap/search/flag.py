@@ -21,13 +21,15 @@ from twistcap.search.recollection import Check, Recollection
 
 _FEWEST = 8.0  # contour points or covered pixels below which nothing is said of a limb
 SIGNS = 11
-LACKING, IN_VIEW, DISAGREEING, LATE, SILENT, UNSEEN = 0, 1, 3, 4, 5, 6  # some of them, see `image_signs`
+LACKING, IN_VIEW, DISAGREEING, LATE, SILENT, UNSEEN, FEW = 0, 1, 3, 4, 5, 6, 7  # some of them, see `image_signs`
+JUMPED = 9  # how far it is from where it was expected, m
 USUAL = (0.05, 0.1, 0.15)
 """What `contour_signs` say of a limb before a recording has taught what is usual."""
 MOST_USUAL = (0.2, 0.35, 0.4)
 """The most of each that may pass for usual."""
 
-_LOST = 0.15  # m off, a joint is lost
+LOST = 0.15
+"""m by which a joint is off that is lost."""
 _CONTRAST = 0.4  # of a limb's contour points that tell it from what is behind it; with fewer nothing says it is right
 _AT_LIMIT = 0.02  # rad from a limit
 _MEANS = [0, 1, 2, 3, 5, 6]  # signs whose running means count as well; that of `late` is one
@@ -219,7 +221,7 @@ def ramps(signs: Float, lately: Float, deviation: Float) -> Float:
 
 def beyond(deviation: Float) -> Float:
     """Log odds that a normal error of so many m in each direction is longer than 150 mm (Maxwell's law)."""
-    ratio = _LOST / np.clip(deviation, 1e-3, 10.0)
+    ratio = LOST / np.clip(deviation, 1e-3, 10.0)
     return log_odds(erfc(ratio / np.sqrt(2.0)) + ratio * np.sqrt(2.0 / np.pi) * np.exp(-0.5 * ratio**2))
 
 
