@@ -141,3 +141,9 @@ class Estimate:
     def seen(self) -> bool:
         """Whether images showed the body."""
         return self.status not in UNSEEN
+
+    @property
+    def single_view(self) -> bool:
+        """Whether one camera alone showed the body, so that nothing tells how far away its limbs are."""
+        shown = [] if self.brightness is None else np.flatnonzero(~np.isnan(self.brightness)).tolist()
+        return self.seen and len({*shown} - {*self.left_out}) == 1

@@ -316,6 +316,17 @@ def test_what_the_tracker_lost_stays_lost_unless_the_contours_agree_well(
     assert judged.part_probability is not None and (judged.part_probability.max() < 0.75) == (was_lost and not is_lost)
 
 
+def test_what_one_camera_alone_showed_stays_lost() -> None:
+    """Its contours agree with a limb that is bent the wrong way in depth."""
+    parts, covariance = np.full(len(BODY.segment_names), 0.9), 1e-5 * np.eye(BODY.dof)
+    given = Estimate(0, 0.0, a_pose(1), covariance, lost=True, probability=0.9, part_probability=parts)
+    for brightness, lost in (([0.4, np.nan, np.nan], True), ([0.4, np.nan, 0.4], False)):
+        seen = replace(given, brightness=np.array(brightness))
+        assert with_support(seen, Posed(BODY, given.pose), np.ones(len(parts))).lost == lost
+    left_out = replace(given, brightness=np.array([0.4, 0.4, np.nan]), left_out=(1,))
+    assert with_support(left_out, Posed(BODY, given.pose), np.ones(len(parts))).lost
+
+
 def test_points_that_err_alike_count_as_fewer() -> None:
     """Contours off by their noise in 20 frames, and with an error of each part that stays the same in all of them."""
     rng, posed, points = np.random.default_rng(0), [Posed(BODY, a_pose(1))] * 20, some_points(300)

@@ -44,7 +44,14 @@ def doubts(
     """The frames before the present one, and what is doubted of them: the arm was off, and is back."""
     scene, model, right, before, state = walk()
     passed = [
-        replace(p, estimate=replace(p.estimate, missing=(1, 2) * (k in fewer), pose=bent(scene.body, p.estimate.pose)))
+        replace(
+            p,
+            estimate=replace(
+                p.estimate,
+                brightness=np.array([0.4, *[np.nan if k in fewer else 0.4] * 2]),
+                pose=bent(scene.body, p.estimate.pose),
+            ),
+        )
         for k, p in enumerate(right[:-1])
     ]
     passed[-1] = replace(passed[-1], estimate=replace(passed[-1].estimate, **last))
@@ -70,12 +77,15 @@ def test_the_arm_is_doubted_more_and_more_and_nothing_else() -> None:
 
 def test_limbs_that_are_not_judged_stay_so() -> None:
     _, _, right, *_ = walk()
-    by_part = right[-2].estimate.part_probability
+    by_part, limbs = right[-2].estimate.part_probability, named_limbs(walk()[0].body)
     assert by_part is not None
-    leg = named_limbs(walk()[0].body)["leg_l"]
-    _, found = doubts(part_probability=np.where(leg, np.nan, by_part))
-    assert found[-1].part_probability is not None and np.isnan(found[-1].part_probability[leg]).all()
-    assert doubts(part_probability=None)[1][-1].probability < 0.5
+    passed, found = doubts(part_probability=np.where(limbs[ARM], np.nan, by_part))
+    assert found[-1].part_probability is not None and np.isnan(found[-1].part_probability[limbs[ARM]]).all()
+    assert not found[-1].lost and found[-2].lost
+    for unknown in (None, np.full_like(by_part, np.nan)):
+        passed, found = doubts(part_probability=unknown)
+        assert found[-1].probability < 0.5
+        assert np.trace(found[-1].covariance) > 1.0 + np.trace(passed[-1].estimate.covariance)
 
 
 @pytest.mark.parametrize(
@@ -90,8 +100,8 @@ def test_limbs_that_are_not_judged_stay_so() -> None:
     ],
 )
 def test_nothing_is_doubted_without_reason(about: dict[str, object]) -> None:
-    """The arm came back nearly where it was, or no camera more shows it, or few did for two frames only,
-    or what it did in a gap is not known.
+    """The arm came back nearly where it was, or no camera more shows it, or one alone did for two frames only, or what
+    it did in a gap is not known.
     """
     assert not doubts(**about)[1]  # type: ignore[arg-type]
 

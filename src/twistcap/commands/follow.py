@@ -31,13 +31,13 @@ STATE_EVERY = 10
 
 @dataclass
 class Timing:
-    """Milliseconds of the tracker alone, decoding apart, frame by frame; the frames that were corrected later; and what
-    is to be said of the first one.
+    """Milliseconds of the tracker alone, decoding apart, frame by frame; the frames that were corrected later; and the
+    first pose that was given for these frames.
     """
 
     ms: list[float] = field(default_factory=list[float])
     corrected: set[int] = field(default_factory=set[int])
-    beside: str = ""
+    given: Pose | None = None
 
     @property
     def median(self) -> float:
@@ -83,7 +83,11 @@ def follow(
 
     `passed` are frames that have been tracked before, `given` is the first pose of those that have not.
     """
-    timing, believed, hindsight = Timing(), Believed(tracker.model.rig.names), Hindsight(tracker, passed=passed)
+    timing, believed, hindsight = (
+        Timing(given=given),
+        Believed(tracker.model.rig.names),
+        Hindsight(tracker, passed=passed),
+    )
     with progress("tracking", total) as advance:
         try:
             for frame in frames:
@@ -97,11 +101,9 @@ def follow(
                     writer.save_state(to_bytes(tracker.state, corrected))  # a kill from here on corrects them later
                     writer.correct(corrected)
                     timing.corrected.update(e.index for e in corrected)
-                news = believed.news(estimate, suspects(tracker))
-                if given is not None and (beside := beside_in_words(tracker.model.body, given, estimate)):
-                    timing.beside, news = beside, [beside, *news]
+                beside = beside_in_words(tracker.model.body, given, estimate) if given is not None else []
                 given = None
-                for sentence in news:
+                for sentence in (*beside, *believed.news(estimate, suspects(tracker))):
                     say(sentence)
                 advance(f"{timing.ms[-1]:.0f} ms{'  LOST' if estimate.lost else ''}")
             if len(writer):

@@ -90,7 +90,7 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
     from twistcap.commands.clocks import clocks_in_words
     from twistcap.io.lock import WriteLock
     from twistcap.io.result import read_result
-    from twistcap.report.words import result_in_words
+    from twistcap.report.words import beside_in_words, result_in_words
 
     path = folder / "result.h5"
     norms = session.output.gait_norms  # a file that cannot be read is refused before the work
@@ -102,7 +102,9 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
             apart = clocks_in_words(session, views, result, watched)
         elsewhere = () if watched is None else np.flatnonzero(watched.since >= 0).tolist()
         wrong = places_and_clocks(mend_in_words(result, path, elsewhere), apart)
-        statements = [*result_in_words(result), *filter(None, [timing.beside]), *wrong]
+        given = timing.given if len(result) else None
+        beside = [] if given is None else beside_in_words(result.body, given, result.estimates[0])
+        statements = [*result_in_words(result), *beside, *wrong]
         files = [path, *_outputs(session, views, result, folder, timing, norms, statements)]
     lost = result.indices[result.lost].tolist()
     out, turned, swapped = (
@@ -253,7 +255,7 @@ def tell(document: dict[str, Any]) -> None:
     pace = "nothing left to track" if np.isnan(speed) else f"{speed:.1f} ms each (median)"
     words.print(f"{document['frames']} frames, {pace}")
     if corrected := len(document["corrected"]):
-        terminal.say(f"frames corrected by what was found later: {corrected}")
+        terminal.say(f"frames corrected or doubted by what was found later: {corrected}")
     for sentence in document["statements"]:
         terminal.say(sentence)
     for path in document["files"]:

@@ -69,7 +69,9 @@ def step(track: Track, frame: Frame, model: DifferentialModel) -> tuple[Track, E
     after, found = followed(track, frame.images, model)
     pose = world_pose(found.state, list(model.rig))
     if not track.started:
-        return after, Estimate(frame.index, frame.time, pose, 1e-6 * np.eye(model.body.dof))
+        return after, Estimate(
+            frame.index, frame.time, pose, 1e-6 * np.eye(model.body.dof), brightness=frame.brightness
+        )
     covariance, support = found.world_covariance(model), float(found.support.max())
     finite = bool(np.all(np.isfinite(pose.q)) and np.all(np.isfinite(covariance)))
     seen = any(image is not None for image in frame.images)

@@ -1,7 +1,7 @@
 """Frames that have passed are corrected by what is found out later; what is known of them in the end.
 
 `back` tracks them again from what a search has found, `between` from where a limb was before and after it went astray.
-`returned` doubts a limb that more cameras show elsewhere in the frames that fewer saw.
+`returned` doubts a limb that more cameras show elsewhere in the frames that one alone saw.
 """
 
 from __future__ import annotations

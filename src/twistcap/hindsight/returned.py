@@ -1,4 +1,4 @@
-"""A limb that was elsewhere when more cameras saw it again had gone astray while few did.
+"""A limb that was elsewhere when more cameras saw it again had gone astray while one alone did.
 
 One camera hardly tells how far away a limb is, and an arm that is bent toward it looks like one that is bent away. No
 picture tells which frames were wrong. What is known is how far the limb was off in the end; before, its error is taken
@@ -38,24 +38,18 @@ def doubted(model: Model, before: State, state: State, passed: Sequence[Passed],
         return []
     off = now[:-1, JUMPED]
     back = (now[:-1, FEW] < earlier[:-1, FEW]) & (off > np.maximum(LOST, earlier[:-1, JUMPED]))
-    many = _cameras(model, estimate)
-    few = list(takewhile(lambda p: p.estimate.seen and _cameras(model, p.estimate) < many, reversed(passed)))[::-1]
-    if not back.any() or len(few) < _FEWEST:
+    alone = list(takewhile(lambda one: one.estimate.single_view, reversed(passed)))[::-1]
+    if not back.any() or len(alone) < _FEWEST:
         return []
-    shares = (np.arange(1.0, len(few) + 1.0) / len(few)) ** 2
+    shares = (np.arange(1.0, len(alone) + 1.0) / len(alone)) ** 2
     return [
-        _doubted(model, one.estimate, share * np.where(back, off, 0.0), share * _way(model, few[-1], estimate, back))
-        for one, share in zip(few, shares, strict=True)
+        _doubted(model, one.estimate, share * np.where(back, off, 0.0), share * _way(model, alone[-1], estimate, back))
+        for one, share in zip(alone, shares, strict=True)
     ]
 
 
 def _signs(state: State) -> Float | None:
     return next((memory.signs for memory in state.searches.values() if isinstance(memory, LostMemory)), None)
-
-
-def _cameras(model: Model, estimate: Estimate) -> int:
-    """Cameras that showed something and were believed."""
-    return len(model.rig) - len({*estimate.missing, *estimate.left_out})
 
 
 def _way(model: Model, last: Passed, estimate: Estimate, back: Bool) -> Float:
@@ -65,14 +59,13 @@ def _way(model: Model, last: Passed, estimate: Estimate, back: Bool) -> Float:
 
 
 def _doubted(model: Model, estimate: Estimate, off: Float, way: Float) -> Estimate:
-    """An estimate whose limbs may be off by so many m (G − 1,), and its pose by a step (6 + J,)."""
-    if estimate.part_probability is None:
-        return estimate
-    likely = off / (off + LOST)
-    of_part, own = (flag_groups(model.body)[:-1] * likely[:, None]).max(axis=0), estimate.part_probability
-    by_part = np.where(of_part > 0.0, np.fmax(own, of_part), own)
-    probability = max(estimate.probability, float(likely.max()))
-    return replace(
-        estimate, covariance=estimate.covariance + np.outer(way, way), part_probability=by_part,
-        probability=probability, lost=probability >= model.flag.lost,
-    )  # fmt: skip
+    """An estimate whose limbs may be off by so many m (G − 1,), and its pose by a step (6 + J,). Limbs that are not
+    judged stay so.
+    """
+    claimed = replace(estimate, covariance=estimate.covariance + np.outer(way, way))
+    own, likely = estimate.part_probability, (flag_groups(model.body)[:-1].T * (off / (off + LOST))).max(axis=1)
+    if own is None or np.isnan(own).all():
+        return claimed
+    by_part = np.where(np.isnan(own), own, np.maximum(own, likely))
+    probability = max(estimate.probability, float(np.nanmax(np.where(np.isnan(own), 0.0, likely))))
+    return replace(claimed, part_probability=by_part, probability=probability, lost=probability >= model.flag.lost)

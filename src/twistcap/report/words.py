@@ -94,19 +94,21 @@ def frame_in_words(estimate: Estimate, limbs: Mapping[str, Bool], cameras: Seque
     return "; ".join(filter(None, [lost, *out, *(f"camera {cameras[c]} shows nothing new" for c in some)]))
 
 
-def beside_in_words(body: Body, given: Pose, estimate: Estimate) -> str:
-    """Where the first frame shows the body, or limbs of it, if that is not at the given first pose; empty where it is,
-    or nobody knows.
+def beside_in_words(body: Body, given: Pose, estimate: Estimate) -> list[str]:
+    """A sentence about how far the first frame shows the body, or limbs of it, from the given first pose; none where
+    that is right, or nobody knows.
     """
     if estimate.lost or not estimate.seen:
-        return ""
+        return []
     shift = Posed(body, estimate.pose).segment_middles - Posed(body, given).segment_middles
     whole, limbs = float(np.linalg.norm(np.median(shift, axis=0))), named_limbs(body)
     own = np.linalg.norm(shift - np.median(shift, axis=0), axis=1)
-    moved = {limb_in_words(name): float(own[parts].max()) for name, parts in limbs.items()}
+    moved = [(limb_in_words(name), shift[parts]) for name, parts in limbs.items() if own[parts].max() > _BESIDE]
     found = [f"the body {whole:.2f} m"] if whole > _BESIDE else []
-    found += [f"{name} {far:.2f} m" for name, far in moved.items() if far > max(_BESIDE, whole)]
-    return f"frame {estimate.index} shows {', '.join(found)} from the first pose; it is tracked there" if found else ""
+    found += [f"{name} {np.linalg.norm(each, axis=1).max():.2f} m" for name, each in moved]
+    return (
+        [f"frame {estimate.index} shows {', '.join(found)} from the first pose; it is tracked there"] if found else []
+    )
 
 
 def result_in_words(result: Result) -> list[str]:
@@ -157,34 +159,34 @@ def _flicker(result: Result) -> list[tuple[str, str, Bool]]:
     """
     each = np.array([flickering(one) for one in result.brightness.T])
     whose = [(f"camera {name}", [c], rows) for c, (name, rows) in enumerate(zip(result.rig.names, each, strict=True))]
-    if 2 * each.all(axis=0).sum() > each.any(axis=0).sum():
+    if len(each) > 1 and 2 * each.all(axis=0).sum() > each.any(axis=0).sum():
         whose = [("all cameras", [*range(len(each))], np.asarray(each.any(axis=0), np.bool_))]
     return [
-        (f"the pictures of {who} got brighter and darker", _wavered(result.brightness[rows][:, own]), rows)
+        (f"the pictures of {who} got brighter and darker", _wavered(result.brightness[:, own], rows), rows)
         for who, own, rows in whose
         if rows.any()
     ]
 
 
-def _wavered(brightness: Float) -> str:
-    """How far brightness (N, C) strays from its mean, and what may have been the cause."""
-    shown = [one[~np.isnan(one)] for one in brightness.T]
+def _wavered(brightness: Float, rows: Bool) -> str:
+    """How far brightness (N, C) strays from its mean in a run of the rows (N,), and what may have been the cause."""
+    shown = [one[~np.isnan(one)] for a, b in runs(rows) for one in brightness[a:b].T]
     most = max(float(np.abs(one / one.mean() - 1.0).max()) for one in shown if len(one))
     return f" (by {100.0 * most:.0f} % of their mean; lamps that flicker, or automatic exposure?)"
 
 
 def flickering(brightness: Float) -> Bool:
     """(N,) frames about which a camera's brightness (N,) goes up and down: four steps of seven successive ones are of
-    more than 6 %, some of them up and some down. A switched light is one step.
+    more than 6 %, some of them up and some down. A switched light is one step; pictures that are missing are left out.
     """
-    steps = np.nan_to_num(np.diff(np.log(np.maximum(brightness, 1e-3))))
-    out = np.zeros(len(brightness), np.bool_)
+    shown = np.flatnonzero(~np.isnan(brightness))
+    steps, out = np.diff(np.log(np.maximum(brightness[shown], 1e-3))), np.zeros(len(brightness), np.bool_)
     for first in range(max(len(steps) - _OF, 0) + 1):
         strong = steps[first : first + _OF]
         up, down = (strong > _STEP).sum(), (strong < -_STEP).sum()
         if up and down and up + down >= _STEPS:
             which = first + np.flatnonzero(np.abs(strong) > _STEP)
-            out[which[0] : which[-1] + 2] = True
+            out[shown[which[0]] : shown[which[-1] + 1] + 1] = True
     return out
 
 

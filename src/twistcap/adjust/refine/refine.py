@@ -211,10 +211,10 @@ def _estimates(
 
 def with_support(estimate: Estimate, posed: Posed, support: Float) -> Estimate:
     """With the support (S,) of its parts. What the tracker lost stays lost, unless the contours agree so well by now
-    that they alone do not make a loss probable."""
+    that they alone do not make a loss probable; those of one camera do not."""
     least, flag = float(support.min()), FlagRule()
     own = replace(estimate, support=least, lost=estimate.lost or least < SupportRule().least)
-    if not estimate.lost or least < SupportRule().sure:
+    if not estimate.lost or least < SupportRule().sure or estimate.single_view:
         return own
     groups, deviations = flag_groups(posed.body), segment_deviations(posed, estimate.covariance)
     signs, farthest = support_signs(groups, support), np.array([deviations[group].max() for group in groups])
