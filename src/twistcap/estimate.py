@@ -105,7 +105,7 @@ class Estimate:
         bumps: (C, 3) turn of each camera from where it is calibrated, in its own frame, rad; None or 0 where none was.
         sources: under which names the cameras' pictures came, if they were swapped.
         relit: whether all pictures have just changed, as by another light, so that the body's look was learned again.
-        brightness: (C,) mean of each camera's picture in [0, 1], NaN where there is none; None where nobody looked.
+        brightness: (C,) mean of each camera's picture, 0 to 1, NaN where none was looked at; None where unknown.
     """
 
     index: int

@@ -67,5 +67,5 @@ def _doubted(model: Model, estimate: Estimate, off: Float, way: Float) -> Estima
     if own is None or np.isnan(own).all():
         return claimed
     by_part = np.where(np.isnan(own), own, np.maximum(own, likely))
-    probability = max(estimate.probability, float(np.nanmax(np.where(np.isnan(own), 0.0, likely))))
+    probability = max(estimate.probability, float(likely[~np.isnan(own)].max()))
     return replace(claimed, part_probability=by_part, probability=probability, lost=probability >= model.flag.lost)

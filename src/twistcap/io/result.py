@@ -70,7 +70,7 @@ class Result:
     bumps: Float  # (N, C, 3) turns of the cameras from where they are calibrated, rad; see `Estimate`
     sources: Int  # (N, C) under which camera's name each camera's picture came
     relit: Bool  # (N,) whether all pictures changed, as by another light
-    brightness: Float  # (N, C) mean of each camera's picture in [0, 1]; NaN where there is none
+    brightness: Float  # (N, C) mean of each camera's picture, 0 to 1; NaN where none was looked at
     predicted: tuple[str, ...]  # N words, the source of the pose that each frame started from; see `Estimate`
     config: Mapping[str, Any]  # what the run was configured with, as JSON data
     versions: Mapping[str, str]  # of the programs, by name

@@ -211,7 +211,7 @@ def _estimates(
 
 def with_support(estimate: Estimate, posed: Posed, support: Float) -> Estimate:
     """With the support (S,) of its parts. What the tracker lost stays lost, unless the contours agree so well by now
-    that they alone do not make a loss probable; those of one camera do not."""
+    that they alone do not make a loss probable. One camera alone is not enough for that."""
     least, flag = float(support.min()), FlagRule()
     own = replace(estimate, support=least, lost=estimate.lost or least < SupportRule().least)
     if not estimate.lost or least < SupportRule().sure or estimate.single_view:
