@@ -2,10 +2,11 @@
 
 - All images removed for 5, 20 and 60 frames at twelve phases each: is the man found again within ten frames?
 - One camera turned by 2 degrees from frame 50 on: is it named, and does the track go on?
+- One camera 2 or 5 frames late, or 3 early, from frame 30 on: is it left out, and does the track go on?
 - The videos of two cameras of one size exchanged for 20 frames, with all cameras and with these two alone.
 - `balance_two_people`: a second person hides the man in part. All four cameras, then each one left out.
 
-The undisturbed track stands for the truth of gaps, bumps and swaps, the reference for two people.
+The undisturbed track stands for the truth of gaps, bumps, clocks and swaps, the reference for two people.
 
     TWISTCAP_DATA=... python -m reproduce real-faults
 """
@@ -42,6 +43,7 @@ from twistcap.track import Model, State, Tracker
 LENGTHS, PHASES, SOON = (5, 20, 60), 12, 10  # frames of a gap; where it begins; frames after it
 FIRST, LAST = 12, 99  # frames between which gaps and what follows them lie
 BUMPED, DEGREES = 50, 2.0  # from which frame on, by how much a camera is turned
+SHIFTED, SHIFTS = 30, (-5, -2, 3)  # from which frame on a camera shows another one, and how much later that is
 PAIRS, SWAPPED = ((0, 1), (2, 3)), range(50, 70)  # cameras that give each other's pictures, and when
 
 
@@ -50,7 +52,7 @@ class RealFaults:
     """The experiment; see `Experiment`. Nothing in it is random, so that seeds change nothing."""
 
     id: str = "real-faults"
-    says: str = "a real recording with gaps, with bumped or swapped cameras, and with a second person"
+    says: str = "a real recording with gaps, with cameras bumped, out of step or swapped, and with two people"
 
     def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
         """Rows of gaps, bumps, swaps and two people; result files of two people go into the folder `out`.
@@ -62,22 +64,25 @@ class RealFaults:
         data_file("balance_two_people")  # asked for before minutes of tracking
         recording = open_recording(load_session(SESSION))
         frames, rows = list(recording.views), list[Row]()
-        progress("undisturbed", 0, 4)
+        progress("undisturbed", 0, 5)
         model = build(recording.body, recording.views.image_rig)
         plain, states = _undisturbed(model, recording, frames)
         rows += [self._gaps(model, frames, plain, states, length) for length in LENGTHS]
-        progress("gaps", 1, 4)
+        progress("gaps", 1, 5)
         for camera in range(len(CAMERAS)):
             rows += self._bump(model, frames, plain, states, camera)
-        progress("bumps", 2, 4)
+        progress("bumps", 2, 5)
+        for by in SHIFTS:
+            rows += [self._shift(model, frames, plain, states, camera, by) for camera in range(len(CAMERAS))]
+        progress("clocks", 3, 5)
         for pair in PAIRS:
             rows += self._swap(recording, pair, None)
             rows += self._swap(recording, pair, pair)
-        progress("swaps", 3, 4)
+        progress("swaps", 4, 5)
         with TemporaryDirectory() as temporary:
             for without in (None, *CAMERAS):
                 rows += self._two_people(recording, without, out or Path(temporary))
-        progress("two people", 4, 4)
+        progress("two people", 5, 5)
         return Findings(rows, "", ())
 
     def _gaps(
@@ -112,6 +117,19 @@ class RealFaults:
             row(case, "lost and not flagged", float(silent), "frames"),
             row(case, "worst joint from the undisturbed track, at the end", float(apart[-SOON:].mean()), "mm"),
         ]
+
+    def _shift(
+        self, model: Model, frames: Sequence[Frame], plain: Sequence[Estimate], states: Sequence[State],
+        camera: int, by: int,
+    ) -> Row:  # fmt: skip
+        """Lost frames where one camera shows later pictures than the others, or earlier ones."""
+        estimates = _tracked(model, states[SHIFTED], shifted(frames, camera, by))
+        apart = [_apart_mm(model.body, e, p) for e, p in zip(estimates, plain[SHIFTED:], strict=False)]
+        case = f"{self.id} {CAMERAS[camera]} {abs(by)} frames {'early' if by > 0 else 'late'}"
+        first = next((k for k, e in enumerate(estimates) if camera in e.left_out), None)
+        named = "never left out" if first is None else f"left out after {first} frames"
+        lost = float(np.sum(np.array(apart) > LOST_FRAME_MM))
+        return row(f"{case}, {named}", "lost frames", lost, "frames", at_most=0.0, seeds=apart)
 
     def _swap(self, recording: Recording, pair: tuple[int, int], use: Sequence[int] | None) -> list[Row]:
         """The videos of a pair exchanged for a while, seen by some cameras, or by all."""
@@ -168,6 +186,14 @@ def bumped(frames: Sequence[Frame], rig: Rig, camera: int) -> Iterator[Frame]:
         if image is not None:
             images[camera] = cv2.warpPerspective(image, turn, rig[camera].size, borderMode=cv2.BORDER_REPLICATE)
         yield replace(frame, images=tuple(images))
+
+
+def shifted(frames: Sequence[Frame], camera: int, by: int) -> Iterator[Frame]:
+    """The frames from `SHIFTED` on with the pictures of one camera from `by` frames later."""
+    for k in range(SHIFTED, min(len(frames), len(frames) - by)):
+        images = list(frames[k].images)
+        images[camera] = frames[k + by].images[camera]
+        yield replace(frames[k], images=tuple(images))
 
 
 def _undisturbed(model: Model, recording: Recording, frames: Sequence[Frame]) -> tuple[list[Estimate], list[State]]:

@@ -26,12 +26,11 @@ from twistcap.hindsight import Again, Hindsight, LookBack, Passed, back, looked_
 from twistcap.hindsight.passed import evidence_in, with_limbs
 from twistcap.io.result import ResultWriter, read_result
 from twistcap.io.result_schema import COLUMNS
-from twistcap.search.contradiction import Judged
 from twistcap.search.doubt import DoubtRule
 from twistcap.search.flag import flag_groups
 from twistcap.search.limb import LimbRule, regained
 from twistcap.search.lost import LostBody
-from twistcap.search.recollection import Recollection
+from twistcap.search.recollection import Judged, Recollection
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Model, Tracker
 

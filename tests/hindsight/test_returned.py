@@ -16,13 +16,12 @@ from twistcap.body.limbs import named_limbs
 from twistcap.estimate import Estimate
 from twistcap.hindsight import Passed, tracked
 from twistcap.hindsight.returned import doubted
-from twistcap.search.contradiction import Judged
 from twistcap.search.doubt import DoubtRule
 from twistcap.search.flag import FEW, JUMPED
 from twistcap.search.limb import LimbRule, regained
 from twistcap.search.lost import LostBody
 from twistcap.search.memory import LostMemory
-from twistcap.search.recollection import Recollection
+from twistcap.search.recollection import Judged, Recollection
 from twistcap.track import State
 
 FEWER = range(12, 20)  # frames that one of three cameras shows; the last one of the walk is 20

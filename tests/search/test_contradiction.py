@@ -16,9 +16,9 @@ from twistcap.body import Pose, Posed
 from twistcap.build import build
 from twistcap.estimate import Frame
 from twistcap.predict import Prediction
-from twistcap.search.contradiction import ContradictionRule, Judged, Suspicion, _moved, _taken_back
+from twistcap.search.contradiction import ContradictionRule, Suspicion, _moved, _taken_back
 from twistcap.search.memory import LostMemory
-from twistcap.search.recollection import Check, Covered
+from twistcap.search.recollection import Check, Covered, Judged
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import State, Tracker
 from twistcap.track.step import posed_problem

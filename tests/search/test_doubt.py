@@ -12,9 +12,9 @@ from support.faulty_walk import tracked_walk, walk
 from twistcap.body import Pose, Posed
 from twistcap.body.model import partners
 from twistcap.predict import Prediction
-from twistcap.search.contradiction import Judged
 from twistcap.search.doubt import Doubt, DoubtRule
 from twistcap.search.lost import LostBody
+from twistcap.search.recollection import Judged
 from twistcap.track.step import posed_problem
 
 FRAME = 12

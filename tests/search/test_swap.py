@@ -14,7 +14,7 @@ from twistcap.cues.view import as_calibrated
 from twistcap.estimate import Estimate, Frame, Keypoints
 from twistcap.hindsight import Passed
 from twistcap.predict import Prediction
-from twistcap.search.contradiction import fitted
+from twistcap.search.recollection import fitted
 from twistcap.search.swap import SwapRule
 from twistcap.track import Model
 from twistcap.track.align import FrameProblem

@@ -17,12 +17,11 @@ from twistcap.body.limbs import limbs
 from twistcap.build import build
 from twistcap.cues.view import despeckled
 from twistcap.predict import Moment, Prediction
-from twistcap.search.contradiction import Judged
 from twistcap.search.evidence import Evidence, EvidenceView
 from twistcap.search.limb import LimbRule
 from twistcap.search.lost import LostBody
 from twistcap.search.placing import Placing, PlacingRule
-from twistcap.search.recollection import Recollection
+from twistcap.search.recollection import Judged, Recollection
 from twistcap.studio import StudioConfig, capture
 from twistcap.track import Tracker
 from twistcap.track.step import posed_problem

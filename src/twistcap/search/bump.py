@@ -16,8 +16,7 @@ from twistcap.arrays import Float
 from twistcap.camera.bump import after_both
 from twistcap.ranges import Checked, Positive, Share
 from twistcap.search import Problem
-from twistcap.search.contradiction import Judged
-from twistcap.search.recollection import Recollection
+from twistcap.search.recollection import Judged, Recollection
 from twistcap.search.surroundings import Surroundings
 
 

@@ -1,22 +1,22 @@
 """A camera that contradicts the others is left out, and taken back when it agrees with them again.
 
-It may have been bumped, show an old picture, another camera's, or one of another moment. Where its background is no
-longer what it was, and that of another one is, that decides; else the others say where the body is, if they are two or
-more, and what the one shows there decides. Where the others have lost the body, all are believed again.
+It may have been bumped, show an old picture, another camera's, or one of another moment (`out_of_step`). Where its
+background is no longer what it was, and that of another one is, that decides; else the others say where the body is, if
+they are two or more, and what the one shows there decides. Where the others have lost the body, all are believed again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from twistcap.arrays import Float
-from twistcap.cues.observation import Fit
 from twistcap.ranges import Checked, Count
 from twistcap.search import Problem
-from twistcap.search.recollection import Check, Recollection
+from twistcap.search.out_of_step import OutOfStep, OutOfStepRule
+from twistcap.search.recollection import Check, Judged, Recollection, fitted
 from twistcap.search.surroundings import Surroundings
 
 
@@ -37,6 +37,7 @@ class ContradictionRule(Checked):
             fraction of a whole picture that fits, from which on a camera stands as it did.
         every: frames between looks at a camera that is left out, or between suspicions.
         twice: looks in turn that must agree before it is taken back.
+        steps: when a camera shows another moment than the others.
     """
 
     clear: float = 1.5
@@ -49,6 +50,7 @@ class ContradictionRule(Checked):
     steady: float = 0.9
     every: Count = 3
     twice: Count = 2
+    steps: OutOfStepRule = field(default_factory=OutOfStepRule)
 
 
 @dataclass(frozen=True)
@@ -59,36 +61,32 @@ class Suspicion:
         agreed: looks in turn at which each camera that is left out has agreed again.
         moved: those of them whose background told it.
         waiting: frames until one is suspected again.
+        steps: what is known of cameras that show another moment; None before the first look.
     """
 
     agreed: Mapping[int, int]
     moved: tuple[int, ...] = ()
     waiting: int = 0
+    steps: OutOfStep | None = None
 
     def of(self, cameras: Set[int]) -> Suspicion:
         """With nothing against all but these cameras."""
         agreed = {camera: times for camera, times in self.agreed.items() if camera in cameras}
-        return replace(self, agreed=agreed, moved=tuple(c for c in self.moved if c in cameras))
+        steps = None if self.steps is None else self.steps.of(cameras)
+        return replace(self, agreed=agreed, moved=tuple(c for c in self.moved if c in cameras), steps=steps)
 
-
-@dataclass(frozen=True)
-class Judged:
-    """A frame's problem, its fit, and how its pictures agree with that."""
-
-    problem: Problem
-    fit: Fit
-    check: Check
-
-
-def fitted(known: Recollection, problem: Problem) -> Judged:
-    """A problem fitted anew."""
-    fit = problem.align(problem.start)
-    return Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
+    @property
+    def out_of_step(self) -> tuple[int, ...]:
+        """Cameras that show another moment."""
+        return () if self.steps is None else self.steps.cameras
 
 
 def judged(rule: ContradictionRule, memory: Suspicion, known: Recollection, now: Judged) -> tuple[Judged, Suspicion]:
     """The frame without the cameras that are left out from now on, and what is remembered."""
     memory = memory.of(now.problem.left_out)
+    steps = memory.steps or OutOfStep.none(len(known.backdrops))
+    now, steps = rule.steps.judged(steps, known, now, rule.agreeing)
+    memory = replace(memory, steps=steps)
     if memory.waiting:
         return now, replace(memory, waiting=memory.waiting - 1)
     if now.problem.left_out:
@@ -145,7 +143,9 @@ def _taken_back(
         return frozenset(), memory
     agreed = {camera: memory.agreed.get(camera, 0) for camera in now.problem.left_out}
     for camera in agreed:
-        if now.problem.frame.images[camera] is not None:
+        if camera in memory.out_of_step:
+            agreed[camera] = 0
+        elif now.problem.frame.images[camera] is not None:
             agreed[camera] = agreed[camera] + 1 if _agrees(rule, memory, known, camera, now) else 0
     return frozenset(c for c in agreed if agreed[c] < rule.twice), replace(memory, agreed=agreed)
 

@@ -21,12 +21,11 @@ from twistcap.body.limbs import limb_parts, limbs
 from twistcap.body.model import partners
 from twistcap.camera.projection import projected
 from twistcap.ranges import Checked, Count, Share
-from twistcap.search.contradiction import Judged
 from twistcap.search.draws import about, anywhere
 from twistcap.search.evidence import Evidence
 from twistcap.search.flag import DISAGREEING, IN_VIEW, LACKING, LATE, SILENT, UNSEEN, hidden, lacking
 from twistcap.search.placing import points_evidence
-from twistcap.search.recollection import Check, Recollection
+from twistcap.search.recollection import Check, Judged, Recollection
 from twistcap.search.redrawn import RedrawnLimb, drawn
 
 _POINTS = 40  # of a limb's surface, by which its places are judged roughly

@@ -24,14 +24,14 @@ from twistcap.ranges import Checked, Count, Range, Share
 from twistcap.search import Beginning, Problem, Proposals, Revision
 from twistcap.search.beside import BesideRule, agreement, beside, limbs_beside
 from twistcap.search.bump import BumpRule, Unrest
-from twistcap.search.contradiction import ContradictionRule, Judged, fitted, judged
+from twistcap.search.contradiction import ContradictionRule, judged
 from twistcap.search.doubt import DoubtRule
 from twistcap.search.evidence import Evidence
 from twistcap.search.flag import MOST_USUAL, USUAL, at_limits, contour_signs, displaced, flag_groups, image_signs
 from twistcap.search.limb import LimbRule, placed, regained, taught
 from twistcap.search.memory import LostMemory
 from twistcap.search.placing import Hypothesis, Placing, PlacingRule
-from twistcap.search.recollection import Covered, Recollection
+from twistcap.search.recollection import Covered, Judged, Recollection, fitted
 from twistcap.search.stances import bundled, lowest
 from twistcap.search.surroundings import Surroundings
 from twistcap.search.swap import SwapRule

@@ -10,7 +10,7 @@ import numpy as np
 from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
-from twistcap.cues.observation import Sight
+from twistcap.cues.observation import Fit, Sight
 from twistcap.search import Problem
 from twistcap.search.backdrop import Backdrop, small_camera, small_features
 from twistcap.search.evidence import Evidence, EvidenceView, evidence_maps, sampled_evidence
@@ -194,3 +194,18 @@ class Recollection:
                 EvidenceView(i, camera, evidence_maps(features, backdrop.background, backdrop.palette, colours, CLIP))
             )
         return Evidence(problem.body, views)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A frame's problem, its fit, and how its pictures agree with that."""
+
+    problem: Problem
+    fit: Fit
+    check: Check
+
+
+def fitted(known: Recollection, problem: Problem) -> Judged:
+    """A problem fitted anew."""
+    fit = problem.align(problem.start)
+    return Judged(problem, fit, known.check(fit.posed, fit.sights, problem))

@@ -11,8 +11,7 @@ from twistcap.estimate import Sources
 from twistcap.ranges import Checked, Count, Share
 from twistcap.search import Problem
 from twistcap.search.backdrop import small_features
-from twistcap.search.contradiction import Judged, fitted
-from twistcap.search.recollection import Recollection
+from twistcap.search.recollection import Judged, Recollection, fitted
 
 
 @dataclass(frozen=True)
