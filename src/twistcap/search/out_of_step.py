@@ -86,9 +86,8 @@ class OutOfStepRule(Checked):
         """The frame without a camera that is out of step with at least two others, whose evidence without it is at
         `least` that, and what is remembered.
         """
-        ways = self._ways(now)
         seen = np.flatnonzero(~np.isnan(known.ratios(now.check)))
-        if ways is None or (len(seen) < 3 and not now.problem.left_out):
+        if (len(seen) < 3 and not now.problem.left_out) or (ways := self._ways(now)) is None:
             return now, memory
         memory = self._looked(memory, known, now, ways)
         believed = sorted({*seen.tolist()} - now.problem.left_out)
