@@ -75,6 +75,10 @@ class Suspicion:
         steps = None if self.steps is None else self.steps.of(cameras)
         return replace(self, agreed=agreed, moved=tuple(c for c in self.moved if c in cameras), steps=steps)
 
+    def begun_anew(self) -> Suspicion:
+        """For another track through the same recording."""
+        return self if self.steps is None else replace(self, steps=self.steps.begun_anew())
+
     @property
     def out_of_step(self) -> tuple[int, ...]:
         """Cameras that show another moment."""
@@ -143,7 +147,7 @@ def _taken_back(
         return frozenset(), memory
     agreed = {camera: memory.agreed.get(camera, 0) for camera in now.problem.left_out}
     for camera in agreed:
-        if camera in memory.out_of_step:
+        if camera in memory.out_of_step and camera not in memory.moved:
             agreed[camera] = 0
         elif now.problem.frame.images[camera] is not None:
             agreed[camera] = agreed[camera] + 1 if _agrees(rule, memory, known, camera, now) else 0

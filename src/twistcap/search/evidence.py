@@ -179,11 +179,11 @@ def evidence_maps(features: Float32, background: Background, palette: Palette, c
 @njit(cache=True, nogil=True)
 def sampled_evidence(
     features: Float32, part: Int, grid: tuple[int, int, float, int], background: Background,
-    palette: Palette, colours: Float, clip: float,
+    palette: Palette, colours: Float, clip: float, beside: bool = True,
 ) -> tuple[Float, Float]:  # fmt: skip
     """(3, S) evidence of each part where it covers the image, number of pixels, and evidence where nothing covers it;
     and (2,) pixels off the body that fit the background, and how many there are. Off the body only pixels count whose
-    background is known.
+    background is known, and none unless what is `beside` it is asked for.
 
     Args:
         features: (H, W, ≥ C) of a crop, of which every `stride`-th pixel is looked at.
@@ -203,7 +203,7 @@ def sampled_evidence(
         for c in range(stride // 2, part.shape[1], stride):
             i, j = int((r + y0 + 0.5) * factor), int((c + x0 + 0.5) * factor)
             values, s = features[r, c], part[r, c]
-            if i >= height or j >= width or not (known[i, j] or s >= 0):
+            if i >= height or j >= width or not (s >= 0 or (beside and known[i, j])):
                 continue
             distance = 0.0
             if known[i, j]:
@@ -263,7 +263,7 @@ def evidence_maps_reference(
 
 def sampled_evidence_reference(
     features: Float32, part: Int, grid: tuple[int, int, float, int], background: Background,
-    palette: Palette, colours: Float, clip: float,
+    palette: Palette, colours: Float, clip: float, beside: bool = True,
 ) -> tuple[Float, Float]:  # fmt: skip
     """Readable twin of `sampled_evidence`."""
     mean, inverse, _, known = background
@@ -274,7 +274,7 @@ def sampled_evidence_reference(
         i, j = int((r + y0 + 0.5) * factor), int((c + x0 + 0.5) * factor)
         sampled = r % stride == stride // 2 and c % stride == stride // 2
         values, s = features[r, c].astype(float), part[r, c]
-        if not sampled or i >= known.shape[0] or j >= known.shape[1] or not (known[i, j] or s >= 0):
+        if not sampled or i >= known.shape[0] or j >= known.shape[1] or not (s >= 0 or (beside and known[i, j])):
             continue
         behind = _log_density(values, mean[i, j], variance[i, j]) if known[i, j] else _palette_density(values, palette)
         ratios = np.array([_log_density(values, *_moments_of(k)) for k in colours])

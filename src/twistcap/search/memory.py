@@ -64,8 +64,8 @@ class LostMemory:
         """For another track through the same recording: nothing is doubted or waited for yet."""
         none = np.zeros(len(self.groups))
         return replace(
-            self, found=none, jumped=none, waiting=0, limb_waiting=0, limb_pause=0, doubt=Doubt(), nowhere=False,
-            surely=None, signs=None, lately=None, lacked=None,
+            self, suspicion=self.suspicion.begun_anew(), found=none, jumped=none, waiting=0, limb_waiting=0,
+            limb_pause=0, doubt=Doubt(), nowhere=False, surely=None, signs=None, lately=None, lacked=None,
         )  # fmt: skip
 
     @property

@@ -1,13 +1,14 @@
 """A camera that shows another moment than the others: its picture fits the body better where that was, or will be.
 
-One picture is compared with the body a little back and a little ahead on its way; what a camera in step loses on both
-sides, one that is late wins on one of them. A pose between those that the cameras show pleases each of them well
-enough, so that no camera contradicts it: the differences are added up from frame to frame.
+The evidence of each picture is asked for where the body is, a little back and a little ahead on its way: three values
+of a parabola, whose top says how early or late the picture is. What the looks say is added up by least squares. A
+camera that is early draws the body ahead, so that the one that faces it seems late: of the earliest and the latest one,
+that is odd without which the other cameras agree more, and whose own picture then fits better elsewhere on the way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Set
+from collections.abc import Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,42 +21,53 @@ from twistcap.search.recollection import Judged, Recollection, fitted
 
 @dataclass(frozen=True)
 class OutOfStep:
-    """What is remembered of each camera that has been looked at.
+    """What is remembered of each camera.
 
     Attributes:
-        late, early: (C,) by how much its pictures have fitted the body better where it was, and where it would be.
+        sums: (2, C) normal equations of how much earlier than the body each picture is, s: information, right side.
+        against: (C,) what has spoken for leaving each one out.
         cameras: that are out of step.
-        looked: the camera that was looked at last in its turn.
-        against, tries: (C,) what has spoken for leaving each one out since one is suspect, and in how many frames.
+        time: s, of the last look; None before the first.
+        tries: of late in which it stayed undecided which camera is odd; waiting: frames until the next one.
     """
 
-    late: Float
-    early: Float
+    sums: Float
     against: Float
     cameras: tuple[int, ...] = ()
-    looked: int = -1
-    tries: int = 0
+    time: float | None = None
+    tries: float = 0.0
+    waiting: int = 0
 
     @staticmethod
     def none(cameras: int) -> OutOfStep:
         """Nothing is known."""
-        return OutOfStep(np.zeros(cameras), np.zeros(cameras), np.zeros(cameras))
+        return OutOfStep(np.zeros((2, cameras)), np.zeros(cameras))
 
     def of(self, left_out: Set[int]) -> OutOfStep:
         """With nothing against cameras that were out of step and are believed again."""
         again = [c for c in self.cameras if c not in left_out]
-        return self.without(again) if again else self
+        kept = np.where(np.isin(np.arange(len(self.against)), again), 0.0, 1.0)
+        out = tuple(c for c in self.cameras if c in left_out)
+        return replace(self, sums=kept * self.sums, against=kept * self.against, cameras=out) if again else self
 
-    def without(self, cameras: Collection[int]) -> OutOfStep:
-        """With nothing against some cameras."""
-        kept = np.where(np.isin(np.arange(len(self.late)), list(cameras)), 0.0, 1.0)
-        out = tuple(c for c in self.cameras if c not in cameras)
-        return OutOfStep(kept * self.late, kept * self.early, 0.0 * self.against, out, self.looked)
+    def leaving_out(self, camera: int) -> OutOfStep:
+        """With one more camera out of step. What the body was like that it drew along with it says nothing now."""
+        sums = self.sums * (np.arange(len(self.against)) != camera)
+        return replace(OutOfStep.none(len(self.against)), sums=sums, cameras=(*self.cameras, camera), time=self.time)
+
+    def begun_anew(self) -> OutOfStep:
+        """For another track through the same recording, maybe backward: the cameras that are out of step are known."""
+        return replace(OutOfStep.none(len(self.against)), cameras=self.cameras)
 
     @property
-    def most(self) -> Float:
-        """(C,) how clearly each camera is out of step."""
-        return np.maximum(self.late, self.early)
+    def earlier(self) -> Float:
+        """(C,) s by which each picture is earlier than the body; 0 where nothing is known."""
+        return self.sums[1] / np.maximum(self.sums[0], 1e-12)
+
+    def clear(self, early: int, late: int) -> float:
+        """How clearly one camera is earlier than another one: evidence."""
+        error = np.sqrt(np.sum(1.0 / np.maximum(self.sums[0, [early, late]], 1e-12)))
+        return float((self.earlier[early] - self.earlier[late]) / error)
 
 
 @dataclass(frozen=True)
@@ -64,93 +76,104 @@ class OutOfStepRule(Checked):
 
     Attributes:
         shift: m on the body's way, back and ahead, at which the picture of a camera is compared.
-        frames: within which it must have moved by half of that.
-        usual: difference between the two of a camera in step.
-        clear: sum of what is more than usual, from which on a camera is suspect.
-        most: that is remembered of it.
-        each: by which another camera may agree more without one; that with which it disagrees most would say too much.
-        enough: by how much more must speak for leaving one out than for any other one.
-        tries: frames after which nothing is remembered if it is undecided which one it is.
+        within: s in which the body must have moved by half of that.
+        half: s after which what a look has said counts half.
+        apart: s by which a camera that is out of step is earlier or later than the others.
+        clear: evidence that speaks for the earliest and the latest camera not being in step.
+        own: weight of a camera's own picture among what speaks for leaving it out.
+        enough: by how much more must speak for leaving out the one than the other.
+        kept: fraction of what has spoken for it that is kept in a frame in which no camera is suspect.
+        prompt, longest: undecided tries without a pause, and the longest pause, in frames.
     """
 
     shift: float = 0.04
-    frames: Count = 6
-    usual: float = 0.12
-    clear: float = 0.4
-    most: float = 0.8
-    each: float = 0.1
-    enough: float = 0.25
-    tries: Count = 16
+    within: float = 0.1
+    half: float = 0.05
+    apart: float = 0.006
+    clear: float = 0.12
+    own: float = 0.25
+    enough: float = 0.125
+    kept: float = 0.95
+    prompt: Count = 16
+    longest: Count = 16
 
     def judged(self, memory: OutOfStep, known: Recollection, now: Judged, least: float) -> tuple[Judged, OutOfStep]:
-        """The frame without a camera that is out of step with at least two others, whose evidence without it is at
-        `least` that, and what is remembered.
+        """The frame without a camera that is out of step with at least two others, and what is remembered.
+
+        Nothing is known of the body's way where the pictures do not agree with it by `least`.
         """
         seen = np.flatnonzero(~np.isnan(known.ratios(now.check)))
-        if (len(seen) < 3 and not now.problem.left_out) or (ways := self._ways(now)) is None:
+        few = len(seen) < (2 if now.problem.left_out else 3)
+        if few or not known.ratio(now.check) >= least or (way := self._way(now)) is None:
             return now, memory
-        memory = self._looked(memory, known, now, ways)
-        believed = sorted({*seen.tolist()} - now.problem.left_out)
-        if len(believed) < 3 or memory.most[believed].max() < self.clear:
-            return now, replace(memory, against=0.0 * memory.against, tries=0)
-        if memory.tries == self.tries:
-            return now, memory.without(believed)
-        without = {c: fitted(known, now.problem.excluding(now.problem.left_out | {c})) for c in believed}
-        against = memory.against.copy()
+        memory = self._looked(memory, known, now, way)
+        late, *_, early = (int(c) for c in seen[np.argsort(memory.earlier[seen], kind="stable")])
+        apart = memory.earlier[early] - memory.earlier[late]
+        if len(seen) < 3 or apart < self.apart or memory.clear(early, late) < self.clear:
+            return now, replace(memory, against=self.kept * memory.against, tries=self.kept * memory.tries)
+        if memory.waiting:
+            return now, replace(memory, waiting=memory.waiting - 1)
+        without = {c: fitted(known, now.problem.excluding(now.problem.left_out | {c})) for c in (late, early)}
+        memory = replace(memory, against=memory.against + self._against(known, now, without, way[0]))
+        more = memory.against[early] - memory.against[late]
+        odd = early if more > 0.0 else late
+        if abs(more) < self.enough or not known.ratio(without[odd].check) >= least:
+            pause = min(int(memory.tries) // self.prompt, self.longest)
+            return now, replace(memory, tries=memory.tries + 1.0, waiting=pause)
+        return without[odd], memory.leaving_out(odd)
+
+    def _looked(self, memory: OutOfStep, known: Recollection, now: Judged, way: tuple[Float, float]) -> OutOfStep:
+        """After a look at each camera."""
+        (step, speed), time, here = way, now.problem.frame.time, now.fit.pose
+        since = 0.0 if memory.time is None else time - memory.time
+        sums = memory.sums * 0.5 ** (since / self.half)
+        for camera in range(sums.shape[1]):
+            back, there, ahead = self._along(known, now, camera, here, step)
+            uphill = 0.5 * (ahead - back)
+            if not np.isnan(uphill):
+                slope = (
+                    max(2.0 * there - back - ahead, abs(uphill)) * speed / self.shift
+                )  # the top is a step off at most
+                sums[:, camera] += slope * slope, slope * uphill
+        memory = replace(memory, sums=sums, time=time)
+        believed = [c for c in range(sums.shape[1]) if c not in now.problem.left_out]
+        apart = np.abs(memory.earlier - np.median(memory.earlier[believed]))
+        out = [c for c in now.problem.left_out if apart[c] >= 2.0 * self.apart]
+        kept = [c for c in memory.cameras if apart[c] >= self.apart or not sums[0, c]]
+        return replace(memory, cameras=tuple(sorted({*out, *kept})))
+
+    def _against(self, known: Recollection, now: Judged, without: dict[int, Judged], step: Float) -> Float:
+        """(C,) what speaks for leaving out each of two cameras: how much more the cameras agree that are neither, and
+        how much better its own picture fits elsewhere on the way than where the others see the body.
+        """
+        before, out = known.ratios(now.check), np.zeros(len(known.backdrops))
         for camera, others in without.items():
-            against[camera] += self._against(known, now, camera, others)
-        memory = replace(memory, against=against, tries=memory.tries + 1)
-        second, first = np.sort(against)[-2:]
-        if first < second + self.enough:
-            return now, memory
-        camera = int(against.argmax())
-        others = without[camera]
-        if not known.ratio(others.check) >= least:
-            return now, memory
-        memory = memory.without(memory.cameras)  # earlier ones may have been right
-        return others, replace(memory, cameras=(camera,))
+            gain = np.delete(known.ratios(others.check) - before, list(without))
+            back, here, ahead = self._along(known, others, camera, others.fit.pose, step)
+            out[camera] = np.nansum(gain) + self.own * max(float(np.nan_to_num(max(back, ahead) - here)), 0.0)
+        return out
 
-    def _looked(self, memory: OutOfStep, known: Recollection, now: Judged, ways: tuple[Pose, Pose]) -> OutOfStep:
-        """After a look at the next camera in turn, and at those that have seemed out of step."""
-        cameras = len(memory.late)
-        turn = (memory.looked + 1) % cameras
-        late, early, out = memory.late.copy(), memory.early.copy(), {*memory.cameras}
-        for camera in sorted({turn, *np.flatnonzero(memory.most > 0.0).tolist()}):
-            back, ahead = (self._evidence(known, now, camera, pose) for pose in ways)
-            if not np.isnan(back - ahead):
-                late[camera] = np.clip(late[camera] + back - ahead - self.usual, 0.0, self.most)
-                early[camera] = np.clip(early[camera] + ahead - back - self.usual, 0.0, self.most)
-        most = np.maximum(late, early)
-        out = {c for c in out | set(now.problem.left_out) if most[c] > (0.0 if c in out else self.clear)}
-        return replace(memory, late=late, early=early, cameras=tuple(sorted(out)), looked=turn)
-
-    def _ways(self, now: Judged) -> tuple[Pose, Pose] | None:
-        """Where the body was, `shift` back on its way, and where it will be; None where it hardly moves."""
-        here, moments = now.fit.posed, now.problem.past.moments
-        for moment in moments[: -self.frames - 1 : -1]:
-            if not moment.seen:
+    def _way(self, now: Judged) -> tuple[Float, float] | None:
+        """A step of `shift` on the body's way, and its speed in m/s; None where it hardly moves."""
+        here, time = now.fit.posed, now.problem.frame.time
+        for moment in now.problem.past.moments[::-1]:
+            if not moment.seen or time - moment.time > self.within:
                 return None
             step = Posed(here.body, moment.pose).segment_middles - here.segment_middles
             moved = float(np.sqrt(np.mean(np.sum(step**2, axis=1))))
             if moved >= 0.5 * self.shift:
-                way = here.pose.minus(moment.pose) * (self.shift / moved)
-                return here.pose.retract(-way), here.pose.retract(way)
+                return here.pose.minus(moment.pose) * (self.shift / moved), moved / (time - moment.time)
         return None
 
-    @staticmethod
-    def _evidence(known: Recollection, now: Judged, camera: int, pose: Pose) -> float:
-        """Of the body in a pose, in the picture of one camera; NaN where it hardly shows it."""
-        posed = Posed(now.fit.posed.body, pose)
-        sight = None if now.problem.frame.images[camera] is None else now.problem.look(camera, posed)
-        return float(known.ratios(known.check(posed, [] if sight is None else [sight], now.problem))[camera])
+    def _along(self, known: Recollection, now: Judged, camera: int, pose: Pose, step: Float) -> tuple[float, ...]:
+        """Evidence in the picture of one camera a step back, here and a step ahead; NaN where it hardly shows it."""
+        if now.problem.frame.images[camera] is None:
+            return np.nan, np.nan, np.nan
+        places = pose.retract(-step), pose, pose.retract(step)
+        return tuple(self._evidence(known, now, camera, Posed(now.fit.posed.body, place)) for place in places)
 
-    def _against(self, known: Recollection, now: Judged, camera: int, others: Judged) -> float:
-        """What speaks for leaving a camera out: by how much more the others agree without it, and by how much better
-        its own picture fits back or ahead of where they see the body.
-        """
-        before, after = known.ratios(now.check), known.ratios(others.check)
-        agree = float(np.nansum(np.minimum(np.delete(after - before, camera), self.each)))
-        if (ways := self._ways(others)) is None:
-            return agree
-        back, here, ahead = (self._evidence(known, others, camera, p) for p in (ways[0], others.fit.pose, ways[1]))
-        return agree + max(float(np.nan_to_num(max(back, ahead) - here)), 0.0)
+    @staticmethod
+    def _evidence(known: Recollection, now: Judged, camera: int, posed: Posed) -> float:
+        sight = now.problem.look(camera, posed)
+        covered = known.check(posed, [] if sight is None else [sight], now.problem, beside=False)
+        return float(known.ratios(covered)[camera])

@@ -132,8 +132,8 @@ class Recollection:
             return np.nan
         return float(covered.nats[kept].sum() / usual[kept].sum())
 
-    def check(self, posed: Posed, sights: Sequence[Sight], problem: Problem) -> Check:
-        """How the pictures agree with a fit; nothing is said in cameras without a background."""
+    def check(self, posed: Posed, sights: Sequence[Sight], problem: Problem, beside: bool = True) -> Check:
+        """How the pictures agree with a fit, and `beside` it too; nothing is said in cameras without a background."""
         out, fitting = np.zeros((3, *self.nats.shape)), np.full(len(self.backdrops), np.nan)
         for sight in sights:
             i, view, backdrop = sight.camera_index, sight.view, self.backdrops[sight.camera_index]
@@ -144,8 +144,9 @@ class Recollection:
             grid = (x, y, backdrop.size[0] / problem.rig[i].size[0], stride)
             colours = problem.colours(i, view.features.shape[2])
             found = sampled_evidence(
-                view.features, sight.seen.part, grid, backdrop.background, backdrop.palette, colours, CLIP
-            )
+                view.features, sight.seen.part, grid, backdrop.background, backdrop.palette, colours, CLIP,
+                beside,
+            )  # fmt: skip
             out[:, i], fits = found
             fitting[i] = fits[0] / fits[1] if fits[1] else np.nan
         return Check(out[0], out[1], out[2], fitting)
