@@ -2,7 +2,8 @@
 
 - All images removed for 5, 20 and 60 frames at twelve phases each: is the man found again within ten frames?
 - One camera turned by 2 degrees from frame 50 on: is it named, and does the track go on?
-- One camera 2 or 5 frames late, or 3 early, from frame 30 on: is it left out, and does the track go on?
+- Each camera in turn up to 5 frames late or 3 early from frame 30 on: is it left out, and does the track go on? With
+  all cameras, and with three of them.
 - The videos of two cameras of one size exchanged for 20 frames, with all cameras and with these two alone.
 - `balance_two_people`: a second person hides the man in part. All four cameras, then each one left out.
 
@@ -38,13 +39,19 @@ from twistcap.hindsight import Hindsight
 from twistcap.io.recording import Recording, open_recording, rig_of, views_of
 from twistcap.io.result import ResultWriter, read_result
 from twistcap.io.session import load_session
+from twistcap.io.video import Views
 from twistcap.track import Model, State, Tracker
 
 LENGTHS, PHASES, SOON = (5, 20, 60), 12, 10  # frames of a gap; where it begins; frames after it
 FIRST, LAST = 12, 99  # frames between which gaps and what follows them lie
 BUMPED, DEGREES = 50, 2.0  # from which frame on, by how much a camera is turned
-SHIFTED, SHIFTS = 30, (-5, -2, 3)  # from which frame on a camera shows another one, and how much later that is
+SHIFTED, SHIFTS = 30, (-5, -3, -2, 2, 3)  # from which frame on a camera shows another one, and how much later that is
+THREE, SHIFTS_OF_THREE = (CAMERAS[:3], CAMERAS[1:]), (-3, 2)
 PAIRS, SWAPPED = ((0, 1), (2, 3)), range(50, 70)  # cameras that give each other's pictures, and when
+
+
+_Seen = tuple[Model, Sequence[Frame], Sequence[Estimate], Sequence[State]]
+"""Frames, with their undisturbed track and the state before each."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +79,9 @@ class RealFaults:
         for camera in range(len(CAMERAS)):
             rows += self._bump(model, frames, plain, states, camera)
         progress("bumps", 2, 5)
-        for by in SHIFTS:
-            for camera in range(len(CAMERAS)):
-                rows += self._shift(model, frames, plain, states, camera, by)
+        rows += [r for by in SHIFTS for r in self._shift(by, [(model, frames, plain, states)])]
+        seen = [_seen_by(recording, names) for names in THREE]
+        rows += [r for by in SHIFTS_OF_THREE for r in self._shift(by, seen)]
         progress("clocks", 3, 5)
         for pair in PAIRS:
             rows += self._swap(recording, pair, None)
@@ -119,23 +126,31 @@ class RealFaults:
             row(case, "worst joint from the undisturbed track, at the end", float(apart[-SOON:].mean()), "mm"),
         ]
 
-    def _shift(
-        self, model: Model, frames: Sequence[Frame], plain: Sequence[Estimate], states: Sequence[State],
-        camera: int, by: int,
-    ) -> list[Row]:  # fmt: skip
-        """Lost frames where one camera shows later pictures than the others, or earlier ones."""
-        estimates = _tracked(model, states[SHIFTED], shifted(frames, camera, by))
-        apart = [_apart_mm(model.body, e, p) for e, p in zip(estimates, plain[SHIFTED:], strict=False)]
-        case = f"{self.id} {CAMERAS[camera]} {abs(by)} frames {'early' if by > 0 else 'late'}"
-        first = next((k for k, e in enumerate(estimates) if camera in e.left_out), np.inf)
-        lost = float(np.sum(np.array(apart) > LOST_FRAME_MM))
-        return [row(case, "left out after", first, "frames"), row(case, "lost frames", lost, "frames", at_most=0.0)]
+    def _shift(self, by: int, tracks: Sequence[_Seen]) -> list[Row]:
+        """Lost frames where one camera, each in turn, shows later pictures than the others, or earlier ones."""
+        right, others, lost, silent, runs = 0, 0, 0, 0, 0
+        for model, frames, plain, states in tracks:
+            for camera in range(len(model.rig)):
+                estimates = _tracked(model, states[SHIFTED], shifted(frames, camera, by))
+                apart = [_apart_mm(model.body, e, p) for e, p in zip(estimates, plain[SHIFTED:], strict=False)]
+                gone = np.array(apart) > LOST_FRAME_MM
+                right += any(camera in e.left_out for e in estimates)
+                others += sum(bool({*e.left_out} - {camera}) for e in estimates)
+                lost, silent = lost + int(gone.sum()), silent + int(np.sum(gone & [not e.lost for e in estimates]))
+                runs += 1
+        seen = "each camera" if runs == len(CAMERAS) else "each of three cameras"
+        case = f"{self.id} {seen} {abs(by)} frames {'early' if by > 0 else 'late'}"
+        return [
+            row(case, "left out", float(right), f"of {runs}"),
+            row(case, "frames in which another one is left out", float(others), "frames"),
+            row(case, "lost frames", float(lost), "frames", at_most=0.0),
+            row(case, "lost and not flagged", float(silent), "frames"),
+        ]
 
     def _swap(self, recording: Recording, pair: tuple[int, int], use: Sequence[int] | None) -> list[Row]:
         """The videos of a pair exchanged for a while, seen by some cameras, or by all."""
         names = [CAMERAS[c] for c in use or range(len(CAMERAS))]
-        session = load_session(SESSION, {"cameras.use": names})
-        views = views_of(session, rig_of(session))
+        views = _views_of(names)
         one, other = (CAMERAS[c] for c in pair)
         order = [names.index({one: other, other: one}.get(name, name)) for name in names]
         frames, exchanged = list(views), list(replace(views, sources=tuple(views.sources[k] for k in order)))
@@ -175,6 +190,19 @@ class RealFaults:
             row(case, "flagged falsely", float((result.lost & ~lost).sum()), "frames", at_most=0.0),
             row(case, "joints, median", float(median or np.inf), "mm", at_most=30.0),
         ]
+
+
+def _seen_by(recording: Recording, names: Sequence[str]) -> _Seen:
+    """The undisturbed track as some cameras see it."""
+    views = _views_of(names)
+    model, frames = build(recording.body, views.image_rig), list(views)
+    return model, frames, *_undisturbed(model, recording, frames)
+
+
+def _views_of(names: Sequence[str]) -> Views:
+    """The recording seen by some cameras."""
+    session = load_session(SESSION, {"cameras.use": list(names)})
+    return views_of(session, rig_of(session))
 
 
 def bumped(frames: Sequence[Frame], rig: Rig, camera: int) -> Iterator[Frame]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twistcap.arrays import Float
+from twistcap.arrays import Float, Int
 from twistcap.body import Pose, Posed
 from twistcap.ranges import Checked, Count
 from twistcap.search.recollection import Judged, Recollection, fitted
@@ -27,14 +27,12 @@ class OutOfStep:
         sums: (2, C) normal equations of how much earlier than the body each picture is, s: information, right side.
         against: (C,) what has spoken for leaving each one out.
         cameras: that are out of step.
-        time: s, of the last look; None before the first.
         tries: of late in which it stayed undecided which camera is odd; waiting: frames until the next one.
     """
 
     sums: Float
     against: Float
     cameras: tuple[int, ...] = ()
-    time: float | None = None
     tries: float = 0.0
     waiting: int = 0
 
@@ -53,7 +51,7 @@ class OutOfStep:
     def leaving_out(self, camera: int) -> OutOfStep:
         """With one more camera out of step. What the body was like that it drew along with it says nothing now."""
         sums = self.sums * (np.arange(len(self.against)) != camera)
-        return replace(OutOfStep.none(len(self.against)), sums=sums, cameras=(*self.cameras, camera), time=self.time)
+        return replace(OutOfStep.none(len(self.against)), sums=sums, cameras=(*self.cameras, camera))
 
     def begun_anew(self) -> OutOfStep:
         """For another track through the same recording, maybe backward: the cameras that are out of step are known."""
@@ -64,10 +62,14 @@ class OutOfStep:
         """(C,) s by which each picture is earlier than the body; 0 where nothing is known."""
         return self.sums[1] / np.maximum(self.sums[0], 1e-12)
 
-    def clear(self, early: int, late: int) -> float:
-        """How clearly one camera is earlier than another one: evidence."""
-        error = np.sqrt(np.sum(1.0 / np.maximum(self.sums[0, [early, late]], 1e-12)))
-        return float((self.earlier[early] - self.earlier[late]) / error)
+    def most_apart(self, cameras: Int) -> tuple[int, int, float]:
+        """The two of some cameras of which it is clearest that one is earlier than the other, the early one first; and
+        how clear that is: evidence.
+        """
+        earlier, errors = self.earlier[cameras], 1.0 / np.maximum(self.sums[0, cameras], 1e-12)
+        clear = (earlier[:, None] - earlier) / np.sqrt(errors[:, None] + errors)
+        early, late = np.unravel_index(clear.argmax(), clear.shape)
+        return int(cameras[early]), int(cameras[late]), float(clear[early, late])
 
 
 @dataclass(frozen=True)
@@ -77,23 +79,23 @@ class OutOfStepRule(Checked):
     Attributes:
         shift: m on the body's way, back and ahead, at which the picture of a camera is compared.
         within: s in which the body must have moved by half of that.
-        half: s after which what a look has said counts half.
+        kept: of what earlier looks have said, from look to look.
         apart: s by which a camera that is out of step is earlier or later than the others.
-        clear: evidence that speaks for the earliest and the latest camera not being in step.
+        clear: evidence that speaks for two cameras not being in step.
         own: weight of a camera's own picture among what speaks for leaving it out.
         enough: by how much more must speak for leaving out the one than the other.
-        kept: fraction of what has spoken for it that is kept in a frame in which no camera is suspect.
+        faded: what is left, after a frame in which no camera is suspect, of what has spoken for it.
         prompt, longest: undecided tries without a pause, and the longest pause, in frames.
     """
 
     shift: float = 0.04
     within: float = 0.1
-    half: float = 0.05
+    kept: float = 0.8
     apart: float = 0.006
     clear: float = 0.12
     own: float = 0.25
     enough: float = 0.125
-    kept: float = 0.95
+    faded: float = 0.95
     prompt: Count = 16
     longest: Count = 16
 
@@ -107,10 +109,10 @@ class OutOfStepRule(Checked):
         if few or not known.ratio(now.check) >= least or (way := self._way(now)) is None:
             return now, memory
         memory = self._looked(memory, known, now, way)
-        late, *_, early = (int(c) for c in seen[np.argsort(memory.earlier[seen], kind="stable")])
+        early, late, clear = memory.most_apart(seen)
         apart = memory.earlier[early] - memory.earlier[late]
-        if len(seen) < 3 or apart < self.apart or memory.clear(early, late) < self.clear:
-            return now, replace(memory, against=self.kept * memory.against, tries=self.kept * memory.tries)
+        if len(seen) < 3 or apart < self.apart or clear < self.clear:
+            return now, replace(memory, against=self.faded * memory.against, tries=self.faded * memory.tries)
         if memory.waiting:
             return now, replace(memory, waiting=memory.waiting - 1)
         without = {c: fitted(known, now.problem.excluding(now.problem.left_out | {c})) for c in (late, early)}
@@ -124,9 +126,7 @@ class OutOfStepRule(Checked):
 
     def _looked(self, memory: OutOfStep, known: Recollection, now: Judged, way: tuple[Float, float]) -> OutOfStep:
         """After a look at each camera."""
-        (step, speed), time, here = way, now.problem.frame.time, now.fit.pose
-        since = 0.0 if memory.time is None else time - memory.time
-        sums = memory.sums * 0.5 ** (since / self.half)
+        (step, speed), here, sums = way, now.fit.pose, self.kept * memory.sums
         for camera in range(sums.shape[1]):
             back, there, ahead = self._along(known, now, camera, here, step)
             uphill = 0.5 * (ahead - back)
@@ -135,7 +135,7 @@ class OutOfStepRule(Checked):
                     max(2.0 * there - back - ahead, abs(uphill)) * speed / self.shift
                 )  # the top is a step off at most
                 sums[:, camera] += slope * slope, slope * uphill
-        memory = replace(memory, sums=sums, time=time)
+        memory = replace(memory, sums=sums)
         believed = [c for c in range(sums.shape[1]) if c not in now.problem.left_out]
         apart = np.abs(memory.earlier - np.median(memory.earlier[believed]))
         out = [c for c in now.problem.left_out if apart[c] >= 2.0 * self.apart]
