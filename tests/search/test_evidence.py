@@ -47,16 +47,18 @@ def test_kernels_are_their_readable_twins() -> None:
     maps = evidence_maps(small, background, palette, colours, 3.0)
     np.testing.assert_allclose(maps, evidence_maps_reference(small, background, palette, colours, 3.0), atol=1e-4)
     grid = (2, 1, 0.45, 2)
-    now = sampled_evidence(features, part, grid, background, palette, colours, 3.0)
-    twin = sampled_evidence_reference(features, part, grid, background, palette, colours, 3.0)
-    for a, b in zip(now, twin, strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-4)
+    for beside in (True, False):
+        now = sampled_evidence(features, part, grid, background, palette, colours, 3.0, beside)
+        twin = sampled_evidence_reference(features, part, grid, background, palette, colours, 3.0, beside)
+        for a, b in zip(now, twin, strict=True):
+            np.testing.assert_allclose(a, b, atol=1e-4)
+        assert now[0][:2].any() and now[0][2].any() == now[1].any() == beside
     P = np.concatenate([np.diag([4.0, 4.0, 1.0]), np.array([[5.0], [3.0], [2.0]])], axis=1)
     points, of, offsets = rng.normal(size=(30, 3)), rng.integers(0, 4, 30).astype(np.int32), rng.normal(size=(6, 3))
     check_twin(moved_evidence, maps, P, points, of, offsets, 0.5, rtol=1e-5)
-    beside = points * [1e-3, 1e-3, 0.0] + [0.0, 0.0, 1e-3 - P[2, 3]]  # a thousandth of a metre from the camera
+    close = points * [1e-3, 1e-3, 0.0] + [0.0, 0.0, 1e-3 - P[2, 3]]  # a thousandth of a metre from the camera
     at_most = 4.0 * np.abs(maps).max() * len(points)
-    assert np.abs(moved_evidence(maps, P, beside, of, np.zeros((1, 3)), 0.5)).max() <= at_most
+    assert np.abs(moved_evidence(maps, P, close, of, np.zeros((1, 3)), 0.5)).max() <= at_most
     check_twin(points_evidence, maps, P, points.reshape(3, 10, 3), of[:10], rtol=1e-5)
     labels = np.ascontiguousarray(part[::2, ::2])
     for a, b in zip(covered_evidence(maps, labels), covered_evidence_reference(maps, labels), strict=True):

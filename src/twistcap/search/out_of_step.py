@@ -49,7 +49,7 @@ class OutOfStep:
         return replace(self, sums=kept * self.sums, against=kept * self.against, cameras=out) if again else self
 
     def leaving_out(self, camera: int) -> OutOfStep:
-        """With one more camera out of step. What the body was like that it drew along with it says nothing now."""
+        """With one more camera out of step. How early it was for the body that it drew with it says nothing now."""
         sums = self.sums * (np.arange(len(self.against)) != camera)
         return replace(OutOfStep.none(len(self.against)), sums=sums, cameras=(*self.cameras, camera))
 
@@ -104,7 +104,7 @@ class OutOfStepRule(Checked):
 
         Nothing is known of the body's way where the pictures do not agree with it by `least`.
         """
-        seen = np.flatnonzero(~np.isnan(known.ratios(now.check)))
+        seen = np.flatnonzero(~np.isnan(known.ratios(now.check))).astype(np.int32)
         few = len(seen) < (2 if now.problem.left_out else 3)
         if few or not known.ratio(now.check) >= least or (way := self._way(now)) is None:
             return now, memory
@@ -131,9 +131,8 @@ class OutOfStepRule(Checked):
             back, there, ahead = self._along(known, now, camera, here, step)
             uphill = 0.5 * (ahead - back)
             if not np.isnan(uphill):
-                slope = (
-                    max(2.0 * there - back - ahead, abs(uphill)) * speed / self.shift
-                )  # the top is a step off at most
+                bend = max(2.0 * there - back - ahead, abs(uphill))  # the top is a step off at most
+                slope = bend * speed / self.shift
                 sums[:, camera] += slope * slope, slope * uphill
         memory = replace(memory, sums=sums)
         believed = [c for c in range(sums.shape[1]) if c not in now.problem.left_out]
