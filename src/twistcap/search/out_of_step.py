@@ -28,6 +28,7 @@ class OutOfStep:
         against: (C,) what has spoken for leaving each one out.
         cameras: that are out of step.
         tries: of late in which it stayed undecided which camera is odd; waiting: frames until the next one.
+        looked: whether the last frame was looked at. Where all is quiet, only every other one is.
     """
 
     sums: Float
@@ -35,6 +36,7 @@ class OutOfStep:
     cameras: tuple[int, ...] = ()
     tries: float = 0.0
     waiting: int = 0
+    looked: bool = False
 
     @staticmethod
     def none(cameras: int) -> OutOfStep:
@@ -108,6 +110,8 @@ class OutOfStepRule(Checked):
         few = len(seen) < (2 if now.problem.left_out else 3)
         if few or not known.ratio(now.check) >= least or (way := self._way(now)) is None:
             return now, memory
+        if memory.looked and not memory.cameras and memory.most_apart(seen)[2] < 0.75 * self.clear:
+            return now, replace(memory, looked=False)
         memory = self._looked(memory, known, now, way)
         early, late, clear = memory.most_apart(seen)
         apart = memory.earlier[early] - memory.earlier[late]
@@ -126,15 +130,17 @@ class OutOfStepRule(Checked):
 
     def _looked(self, memory: OutOfStep, known: Recollection, now: Judged, way: tuple[Float, float]) -> OutOfStep:
         """After a look at each camera."""
-        (step, speed), here, sums = way, now.fit.pose, self.kept * memory.sums
-        for camera in range(sums.shape[1]):
-            back, there, ahead = self._along(known, now, camera, here, step)
+        (step, speed), pose, sums = way, now.fit.pose, self.kept * memory.sums
+        for camera, here in enumerate(known.ratios(now.check)):
+            if camera in now.problem.left_out:
+                here = self._evidence(known, now, camera, pose)
+            back, ahead = (self._evidence(known, now, camera, pose.retract(by)) for by in (-step, step))
             uphill = 0.5 * (ahead - back)
-            if not np.isnan(uphill):
-                bend = max(2.0 * there - back - ahead, abs(uphill))  # the top is a step off at most
+            if not np.isnan(uphill + here):
+                bend = max(2.0 * here - back - ahead, abs(uphill))  # the top is a step off at most
                 slope = bend * speed / self.shift
                 sums[:, camera] += slope * slope, slope * uphill
-        memory = replace(memory, sums=sums)
+        memory = replace(memory, sums=sums, looked=True)
         believed = [c for c in range(sums.shape[1]) if c not in now.problem.left_out]
         apart = np.abs(memory.earlier - np.median(memory.earlier[believed]))
         out = [c for c in now.problem.left_out if apart[c] >= 2.0 * self.apart]
@@ -148,7 +154,8 @@ class OutOfStepRule(Checked):
         before, out = known.ratios(now.check), np.zeros(len(known.backdrops))
         for camera, others in without.items():
             gain = np.delete(known.ratios(others.check) - before, list(without))
-            back, here, ahead = self._along(known, others, camera, others.fit.pose, step)
+            places = (others.fit.pose.retract(by) for by in (-step, 0.0 * step, step))
+            back, here, ahead = (self._evidence(known, others, camera, place) for place in places)
             out[camera] = np.nansum(gain) + self.own * max(float(np.nan_to_num(max(back, ahead) - here)), 0.0)
         return out
 
@@ -164,15 +171,12 @@ class OutOfStepRule(Checked):
                 return here.pose.minus(moment.pose) * (self.shift / moved), moved / (time - moment.time)
         return None
 
-    def _along(self, known: Recollection, now: Judged, camera: int, pose: Pose, step: Float) -> tuple[float, ...]:
-        """Evidence in the picture of one camera a step back, here and a step ahead; NaN where it hardly shows it."""
-        if now.problem.frame.images[camera] is None:
-            return np.nan, np.nan, np.nan
-        places = pose.retract(-step), pose, pose.retract(step)
-        return tuple(self._evidence(known, now, camera, Posed(now.fit.posed.body, place)) for place in places)
-
     @staticmethod
-    def _evidence(known: Recollection, now: Judged, camera: int, posed: Posed) -> float:
+    def _evidence(known: Recollection, now: Judged, camera: int, pose: Pose) -> float:
+        """Of the body in a pose, in the picture of one camera; NaN where it hardly shows it."""
+        if now.problem.frame.images[camera] is None:
+            return np.nan
+        posed = Posed(now.fit.posed.body, pose)
         sight = now.problem.look(camera, posed)
         covered = known.check(posed, [] if sight is None else [sight], now.problem, beside=False)
         return float(known.ratios(covered)[camera])
