@@ -151,6 +151,7 @@ def test_plots_show_both_sides_and_lost_frames(tmp_path: Path) -> None:
     assert _has_colour(picture[..., ::-1], right, 12)
 
 
+@pytest.mark.filterwarnings("error")
 def test_names_with_dollar_signs_are_no_formulas(tmp_path: Path) -> None:
     """Importers make names of joints such as `Hips_$AssimpFbx$_Rotation`."""
     names, times = (r"hips_$\x$_r", "$_$"), np.arange(5) / 5

@@ -108,7 +108,7 @@ def _fit_height(axis: Axes, drawn: Sequence[tuple[AngleSeries, Bool]], names: Se
     heights = np.concatenate(curves)
     heights = heights[np.isfinite(heights)]
     if len(heights):
-        pad = 0.05 * float(np.ptp(heights))
+        pad = max(0.05 * float(np.ptp(heights)), 0.5)  # an angle that never changes has a height too
         axis.set_ylim(float(heights.min()) - pad, float(heights.max()) + pad)
 
 
