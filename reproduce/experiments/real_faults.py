@@ -141,7 +141,7 @@ class RealFaults:
         seen = "each camera" if runs == len(CAMERAS) else "each of three cameras"
         case = f"{self.id} {seen} {abs(by)} frames {'early' if by > 0 else 'late'}"
         return [
-            row(case, "left out", float(right), f"of {runs}"),
+            row(case, "left out", float(right), f"of {runs}", at_least=float(runs)),
             row(case, "frames in which another one is left out", float(others), "frames"),
             row(case, "lost frames", float(lost), "frames", at_most=0.0),
             row(case, "lost and not flagged", float(silent), "frames"),

@@ -80,11 +80,11 @@ def test_a_camera_out_of_step_is_left_out_and_comes_back(by: int) -> None:
     assert first < 16 and set(out) == {(), (ODD,)}
     assert all(cameras == (ODD,) for cameras in out[first : UNTIL - BEFORE]) and out[-1] == ()
     _, memory = track[UNTIL - BEFORE - 1]
-    assert 0.4 < memory.earlier[ODD] * FPS / by < 1.2 and np.abs(np.delete(memory.earlier, ODD)).max() < 0.005
+    assert 0.4 < memory.ahead[ODD] * FPS / by < 1.2 and np.abs(np.delete(memory.ahead, ODD)).max() < 0.005
 
 
 def test_cameras_in_step_are_believed() -> None:
-    assert all(e.left_out == () and np.abs(s.earlier).max() < 0.01 for e, s in _tracked(_shifted(0)))
+    assert all(e.left_out == () and np.abs(s.ahead).max() < 0.01 for e, s in _tracked(_shifted(0)))
 
 
 def test_a_camera_out_of_step_whose_pictures_are_missing_now_and_then_is_left_out() -> None:
@@ -122,6 +122,30 @@ def test_of_two_cameras_none_is_left_out() -> None:
     assert all(e.left_out == () for e, _ in track) and len({memory.sums.tobytes() for _, memory in track}) == 1
 
 
+@pytest.mark.parametrize("by", [-3, 2])
+def test_of_three_cameras_the_odd_one_is_left_out(by: int) -> None:
+    """One faces it: without that one nobody else would see where along its picture the body is."""
+    frames = [replace(f, images=(None, *f.images[1:])) for f in _shifted(by)]
+    out = [e.left_out for e, _ in _tracked(frames)]
+    assert (ODD,) in out[:20] and set(out) == {(), (ODD,)} and out[-1] == ()
+
+
+def test_a_camera_out_of_step_may_come_back_where_only_one_other_sees_the_body() -> None:
+    frames = _shifted(2)
+    alone = [replace(f, images=(None, f.images[1], f.images[2], None)) for f in frames[UNTIL - BEFORE :]]
+    track = _tracked([*frames[: UNTIL - BEFORE], *alone])
+    assert track[UNTIL - BEFORE - 1][0].left_out == (ODD,) and track[-1][0].left_out == ()
+
+
+def test_two_cameras_that_are_hardly_apart_do_not_hide_a_third_one() -> None:
+    information, ahead = np.array([2500.0, 2500.0, 30.0]), np.array([0.0, 0.0055, 0.025])
+    memory = OutOfStep(np.stack([information, information * ahead]), np.zeros(3))
+    cameras = np.arange(3, dtype=np.int32)
+    assert memory.most_apart(cameras, 0.0)[:2] == (1, 0)
+    early, late, clear = memory.most_apart(cameras, 0.006)
+    assert (early, late) == (2, 0) and clear == pytest.approx(0.025 / np.sqrt(1 / 2500 + 1 / 30))
+
+
 def test_cameras_that_are_believed_again_have_nothing_against_them() -> None:
     memory = OutOfStep(np.arange(1.0, 7.0).reshape(2, 3), np.ones(3), (1, 2), 5.0)
     after = memory.of({2})
@@ -135,3 +159,7 @@ def test_another_track_knows_the_cameras_and_nothing_of_the_way() -> None:
     after = memory.begun_anew()
     assert after.cameras == (1,) and not after.sums.any() and not after.against.any()
     assert (after.tries, after.waiting) == (0.0, 0)
+    lost = _before().searches["lost body"]
+    assert isinstance(lost, LostMemory)
+    again = replace(lost, suspicion=replace(lost.suspicion, steps=memory)).begun_anew().suspicion.steps
+    assert again is not None and again.cameras == (1,) and not again.sums.any()

@@ -183,7 +183,7 @@ def sampled_evidence(
 ) -> tuple[Float, Float]:  # fmt: skip
     """(3, S) evidence of each part where it covers the image, number of pixels, and evidence where nothing covers it;
     and (2,) pixels off the body that fit the background, and how many there are. Off the body only pixels count whose
-    background is known, and none unless what is `beside` it is asked for.
+    background is known; none at all without `beside`.
 
     Args:
         features: (H, W, ≥ C) of a crop, of which every `stride`-th pixel is looked at.

@@ -15,7 +15,7 @@ import numpy as np
 
 from twistcap.arrays import Float, Int
 from twistcap.body import Pose, Posed
-from twistcap.ranges import Checked, Count
+from twistcap.ranges import Checked, Count, Positive, Share
 from twistcap.search.recollection import Judged, Recollection, fitted
 
 
@@ -24,10 +24,11 @@ class OutOfStep:
     """What is remembered of each camera.
 
     Attributes:
-        sums: (2, C) normal equations of how much earlier than the body each picture is, s: information, right side.
+        sums: (2, C) normal equations of the s by which the moment of each picture is after the body's: information,
+            right side.
         against: (C,) what has spoken for leaving each one out.
         cameras: that are out of step.
-        tries: of late in which it stayed undecided which camera is odd; waiting: frames until the next one.
+        tries: lately made in vain to tell which camera is odd; waiting: frames until the next one.
         looked: whether the last frame was looked at. Where all is quiet, only every other one is.
     """
 
@@ -51,7 +52,7 @@ class OutOfStep:
         return replace(self, sums=kept * self.sums, against=kept * self.against, cameras=out) if again else self
 
     def leaving_out(self, camera: int) -> OutOfStep:
-        """With one more camera out of step. How early it was for the body that it drew with it says nothing now."""
+        """With one more camera out of step. What it said of a body that it had a say in says nothing now."""
         sums = self.sums * (np.arange(len(self.against)) != camera)
         return replace(OutOfStep.none(len(self.against)), sums=sums, cameras=(*self.cameras, camera))
 
@@ -60,16 +61,17 @@ class OutOfStep:
         return replace(OutOfStep.none(len(self.against)), cameras=self.cameras)
 
     @property
-    def earlier(self) -> Float:
-        """(C,) s by which each picture is earlier than the body; 0 where nothing is known."""
+    def ahead(self) -> Float:
+        """(C,) s by which the moment of each picture is after the body's; 0 where nothing is known."""
         return self.sums[1] / np.maximum(self.sums[0], 1e-12)
 
-    def most_apart(self, cameras: Int) -> tuple[int, int, float]:
-        """The two of some cameras of which it is clearest that one is earlier than the other, the early one first; and
-        how clear that is: evidence.
+    def most_apart(self, cameras: Int, least: float) -> tuple[int, int, float]:
+        """The two of some cameras of which it is clearest that one is ahead of the other, the early one first; and how
+        clear that is: evidence, 0 where none is ahead by `least` s.
         """
-        earlier, errors = self.earlier[cameras], 1.0 / np.maximum(self.sums[0, cameras], 1e-12)
-        clear = (earlier[:, None] - earlier) / np.sqrt(errors[:, None] + errors)
+        ahead, errors = self.ahead[cameras], 1.0 / np.maximum(self.sums[0, cameras], 1e-12)
+        apart = ahead[:, None] - ahead
+        clear = np.where(apart >= least, apart / np.sqrt(errors[:, None] + errors), 0.0)
         early, late = np.unravel_index(clear.argmax(), clear.shape)
         return int(cameras[early]), int(cameras[late]), float(clear[early, late])
 
@@ -82,45 +84,48 @@ class OutOfStepRule(Checked):
         shift: m on the body's way, back and ahead, at which the picture of a camera is compared.
         within: s in which the body must have moved by half of that.
         kept: of what earlier looks have said, from look to look.
-        apart: s by which a camera that is out of step is earlier or later than the others.
+        apart: s by which one of two cameras must be ahead of the other for one of them to be out of step.
         clear: evidence that speaks for two cameras not being in step.
         own: weight of a camera's own picture among what speaks for leaving it out.
         enough: by how much more must speak for leaving out the one than the other.
         faded: what is left, after a frame in which no camera is suspect, of what has spoken for it.
-        prompt, longest: undecided tries without a pause, and the longest pause, in frames.
+        prompt, longest: tries in vain after which each pause is a frame longer, and the longest pause, in frames.
     """
 
-    shift: float = 0.04
+    shift: Positive = 0.04
     within: float = 0.1
-    kept: float = 0.8
+    kept: Share = 0.8
     apart: float = 0.006
     clear: float = 0.12
     own: float = 0.25
     enough: float = 0.125
-    faded: float = 0.95
+    faded: Share = 0.95
     prompt: Count = 16
     longest: Count = 16
 
     def judged(self, memory: OutOfStep, known: Recollection, now: Judged, least: float) -> tuple[Judged, OutOfStep]:
         """The frame without a camera that is out of step with at least two others, and what is remembered.
 
-        Nothing is known of the body's way where the pictures do not agree with it by `least`.
+        Where the pictures do not agree with the body by `least`, nothing is known of its way, nor of any camera.
         """
         seen = np.flatnonzero(~np.isnan(known.ratios(now.check))).astype(np.int32)
         few = len(seen) < (2 if now.problem.left_out else 3)
-        if few or not known.ratio(now.check) >= least or (way := self._way(now)) is None:
+        if few or not known.ratio(now.check) >= least:
+            return now, replace(memory, cameras=())
+        if (way := self._way(now)) is None:
             return now, memory
-        if memory.looked and not memory.cameras and memory.most_apart(seen)[2] < 0.75 * self.clear:
+        if memory.looked and not memory.cameras and memory.most_apart(seen, self.apart)[2] < 0.75 * self.clear:
             return now, replace(memory, looked=False)
         memory = self._looked(memory, known, now, way)
-        early, late, clear = memory.most_apart(seen)
-        apart = memory.earlier[early] - memory.earlier[late]
-        if len(seen) < 3 or apart < self.apart or clear < self.clear:
+        early, late, clear = memory.most_apart(seen, self.apart)
+        if len(seen) < 3 or clear < self.clear:
             return now, replace(memory, against=self.faded * memory.against, tries=self.faded * memory.tries)
         if memory.waiting:
             return now, replace(memory, waiting=memory.waiting - 1)
         without = {c: fitted(known, now.problem.excluding(now.problem.left_out | {c})) for c in (late, early)}
-        memory = replace(memory, against=memory.against + self._against(known, now, without, way[0]))
+        against = self._against(known, now, without, way[0])
+        against[[early, late]] -= 0.5 * against[[late, early]].sum()  # what speaks for both says nothing
+        memory = replace(memory, against=memory.against + against)
         more = memory.against[early] - memory.against[late]
         odd = early if more > 0.0 else late
         if abs(more) < self.enough or not known.ratio(without[odd].check) >= least:
@@ -130,7 +135,7 @@ class OutOfStepRule(Checked):
 
     def _looked(self, memory: OutOfStep, known: Recollection, now: Judged, way: tuple[Float, float]) -> OutOfStep:
         """After a look at each camera."""
-        (step, speed), pose, sums = way, now.fit.pose, self.kept * memory.sums
+        (step, speed), pose, sums = way, now.fit.pose, memory.sums.copy()
         for camera, here in enumerate(known.ratios(now.check)):
             if camera in now.problem.left_out:
                 here = self._evidence(known, now, camera, pose)
@@ -139,11 +144,12 @@ class OutOfStepRule(Checked):
             if not np.isnan(uphill + here):
                 bend = max(2.0 * here - back - ahead, abs(uphill))  # the top is a step off at most
                 slope = bend * speed / self.shift
-                sums[:, camera] += slope * slope, slope * uphill
+                sums[:, camera] = self.kept * sums[:, camera] + [slope * slope, slope * uphill]
         memory = replace(memory, sums=sums, looked=True)
         believed = [c for c in range(sums.shape[1]) if c not in now.problem.left_out]
-        apart = np.abs(memory.earlier - np.median(memory.earlier[believed]))
-        out = [c for c in now.problem.left_out if apart[c] >= 2.0 * self.apart]
+        apart = np.abs(memory.ahead - np.median(memory.ahead[believed]))
+        clear = apart * np.sqrt(sums[0]) >= self.clear
+        out = [c for c in now.problem.left_out if clear[c] and apart[c] >= 2.0 * self.apart]
         kept = [c for c in memory.cameras if apart[c] >= self.apart or not sums[0, c]]
         return replace(memory, cameras=tuple(sorted({*out, *kept})))
 
@@ -163,7 +169,7 @@ class OutOfStepRule(Checked):
         """A step of `shift` on the body's way, and its speed in m/s; None where it hardly moves."""
         here, time = now.fit.posed, now.problem.frame.time
         for moment in now.problem.past.moments[::-1]:
-            if not moment.seen or time - moment.time > self.within:
+            if not (moment.seen and 0.0 < time - moment.time <= self.within):
                 return None
             step = Posed(here.body, moment.pose).segment_middles - here.segment_middles
             moved = float(np.sqrt(np.mean(np.sum(step**2, axis=1))))
