@@ -103,7 +103,7 @@ def test_where_it_stays_undecided_it_is_tried_less_often() -> None:
 
 
 def test_a_camera_stays_left_out_while_the_body_stands_still() -> None:
-    """Nothing is known of its clock."""
+    """Nothing is known of its clock. Here the body must have moved by 5 m in a tenth of a second: it stands still."""
     frames = _shifted(2)
     tracker = Tracker(_model())
     tracker.state = _before()

@@ -2,8 +2,9 @@
 
 The evidence of each picture is asked for where the body is, a little back and a little ahead on its way: three values
 of a parabola, whose top says how early or late the picture is. What the looks say is added up by least squares. A
-camera that is early draws the body ahead, so that the one that faces it seems late: of the earliest and the latest one,
-that is odd without which the other cameras agree more, and whose own picture then fits better elsewhere on the way.
+camera that is early draws the body ahead, so that the one that faces it seems late. So the frame is fitted without each
+of the two that are most clearly apart. Odd is the one without which the cameras that are neither agree more; how much
+better its own picture then fits elsewhere on the way counts too, for less.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from twistcap.arrays import Float, Int
 from twistcap.body import Pose, Posed
 from twistcap.ranges import Checked, Count, Positive, Share
 from twistcap.search.recollection import Judged, Recollection, fitted
+
+_QUIET = 0.75  # of the evidence for two cameras not being in step, below which every other frame is looked at
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,7 @@ class OutOfStep:
         return OutOfStep(np.zeros((2, cameras)), np.zeros(cameras))
 
     def of(self, left_out: Set[int]) -> OutOfStep:
-        """With nothing against cameras that were out of step and are believed again."""
+        """With nothing against cameras that are believed again, as all are when the body is lost."""
         again = [c for c in self.cameras if c not in left_out]
         kept = np.where(np.isin(np.arange(len(self.against)), again), 0.0, 1.0)
         out = tuple(c for c in self.cameras if c in left_out)
@@ -114,7 +117,8 @@ class OutOfStepRule(Checked):
             return now, replace(memory, cameras=())
         if (way := self._way(now)) is None:
             return now, memory
-        if memory.looked and not memory.cameras and memory.most_apart(seen, self.apart)[2] < 0.75 * self.clear:
+        quiet = not memory.cameras and memory.most_apart(seen, self.apart)[2] < _QUIET * self.clear
+        if memory.looked and quiet:
             return now, replace(memory, looked=False)
         memory = self._looked(memory, known, now, way)
         early, late, clear = memory.most_apart(seen, self.apart)
