@@ -31,6 +31,7 @@ from twistcap.io.masks import read_masks
 from twistcap.io.session import load_session
 from twistcap.motion import MotionLibrary
 from twistcap.render import render
+from twistcap.search.body import BodyRule
 from twistcap.search.lost import LostBody
 from twistcap.search.placing import PlacingRule
 from twistcap.track import Model, Settings
@@ -58,7 +59,7 @@ ARMS = {
 
 def drawn(model: Model, seed: int) -> Model:
     """The model with the searches' draws of a seed."""
-    return replace(model, searches=(LostBody(placing=PlacingRule(seed=seed)),))
+    return replace(model, searches=(LostBody(body=BodyRule(placing=PlacingRule(seed=seed))),))
 
 
 @dataclass(frozen=True)

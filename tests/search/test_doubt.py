@@ -36,6 +36,17 @@ def test_it_is_looked_for_ever_more_seldom_while_it_is_not_found() -> None:
     assert rule.due(rule.settled, doubtful, doubtful) == (False, Doubt(rule.again - 1))
 
 
+def test_it_is_looked_for_again_for_a_while_after_it_has_been_found() -> None:
+    """Nothing speaks against it; the doubt in what has been found fades."""
+    rule, doubt, asked = DoubtRule(), DoubtRule().begun, list[int]()
+    quiet = np.zeros((6, 11))
+    for k in range(40):
+        due, doubt = rule.due(doubt, quiet, quiet, LostBody().doubted ** k)
+        if due:
+            doubt, asked = rule.in_vain(doubt), [*asked, k]
+    assert asked == [1, 5, 12]
+
+
 @pytest.mark.parametrize(("wrong", "gain", "found"), [(True, 0.04, True), (True, 9.0, False), (False, 0.04, False)])
 def test_limbs_that_are_wrong_together_are_found_together(wrong: bool, gain: float, found: bool) -> None:
     """All limbs are where those of the other side belong."""

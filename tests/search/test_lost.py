@@ -23,8 +23,8 @@ from twistcap.cues.view import steadied
 from twistcap.estimate import Frame, Keypoints
 from twistcap.hindsight import tracked
 from twistcap.predict import Moment, Prediction
+from twistcap.search.body import BodyRule, BodySearch
 from twistcap.search.limb import LimbRule, placed
-from twistcap.search.lost import LostBody
 from twistcap.search.placing import Stance
 from twistcap.search.stances import bundled
 from twistcap.studio import StudioConfig, capture
@@ -111,11 +111,11 @@ def test_a_body_in_a_stance_that_it_never_showed_is_found_far_away_after_long() 
     known = state.searches["lost body"].known
     known = replace(known, turns=squat.turn[None], heights=np.array([squat.height]), angles=squat.q[None])
     evidence = known.evidence(problem)
-    _check_found(LostBody().found(known, problem, evidence, -np.inf), 12)
+    _check_found(BodySearch(BodyRule(), LimbRule(), known, problem, evidence).found(), 12)
     gone = Pose(se3.transform(np.eye(3), np.array([17.0, 2.0, squat.height])), squat.q)  # what was found there ran away
     run_away = replace(problem, state=state.with_past(replace(past, moments=(Moment(frames[11].time, gone),))))
     surely = Moment(frames[11].time - 5.0, away)
-    _check_found(LostBody().found(known, run_away, evidence, -np.inf, surely), 12)
+    _check_found(BodySearch(BodyRule(), LimbRule(), known, run_away, evidence, surely).found(), 12)
 
 
 def _check_found(pose: Pose | None, frame: int) -> None:

@@ -17,6 +17,7 @@ from twistcap.body.limbs import limbs
 from twistcap.build import build
 from twistcap.cues.view import despeckled
 from twistcap.predict import Moment, Prediction
+from twistcap.search.body import BodyRule, BodySearch
 from twistcap.search.evidence import Evidence, EvidenceView
 from twistcap.search.limb import LimbRule
 from twistcap.search.lost import LostBody
@@ -28,13 +29,13 @@ from twistcap.track.step import posed_problem
 
 
 def test_a_pose_pays_for_having_turned_faster_than_people_do() -> None:
-    here, rule = walk()[0].first_pose, LostBody()
+    here, rule = walk()[0].first_pose, BodyRule()
     about = Pose(
         se3.transform(se3.exp_rotation([0.0, 0.0, np.deg2rad(150.0)]) @ here.root[:3, :3], np.zeros(3)), here.q
     )
-    costs = [rule._too_fast(about, Moment(0.0, here), seconds) for seconds in (0.1, 0.3, 0.6, 0.8)]
+    costs = [rule.too_fast(about, Moment(0.0, here), seconds) for seconds in (0.1, 0.3, 0.6, 0.8)]
     assert costs[0] == rule.better and 0.0 < costs[2] < costs[1] and costs[3] == 0.0
-    assert rule._too_fast(here, Moment(0.0, here), 0.0) == 0.0
+    assert rule.too_fast(here, Moment(0.0, here), 0.0) == 0.0
 
 
 @pytest.mark.parametrize("camera", range(3))
@@ -51,7 +52,8 @@ def test_somebody_alike_who_is_nearer_to_a_camera_is_not_taken_for_the_person(ca
     state = tracker.state.with_past(replace(tracker.state.past, moments=(Moment(time, astray, seen=False),)))
     problem = posed_problem(state, frame, tracker.model, Prediction(astray, "hold", none, none))
     known = state.searches["lost body"].known
-    found = LostBody().found(known, problem, known.evidence(problem), -np.inf, Moment(time, here))
+    seen = Moment(time, here)
+    found = BodySearch(BodyRule(), LimbRule(), known, problem, known.evidence(problem), seen).found()
     assert found is not None
     assert np.linalg.norm((found.root - scene.true_poses[12].root)[:3, 3]) < 0.02
 

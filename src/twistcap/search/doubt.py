@@ -36,6 +36,8 @@ class DoubtRule(Checked):
     Attributes:
         doubtful: probability of being lost from which on it is looked for. Of the fault bench's lost frames 89 %
             have it, and of those that are right 9 %.
+        found: what is left of the doubt in a body that a search has found, from which on it is looked for again: the
+            draws of one search may all have missed it.
         gain: evidence that it must gain, as a fraction of what is usual.
         near: m that the root may move. It is the limbs that are in doubt: where cameras contradict each other, one that
             is wrong would pull the whole body aside.
@@ -45,6 +47,7 @@ class DoubtRule(Checked):
     """
 
     doubtful: Share = 0.01
+    found: Share = 0.05
     gain: float = 0.04
     near: Annotated[float, Range(0.0, 10.0)] = 0.1
     moved: Annotated[float, Range(0.0, 1.0)] = 0.05
@@ -52,10 +55,13 @@ class DoubtRule(Checked):
     longest: Count = 32
     flag: FlagRule = field(default_factory=FlagRule)
 
-    def due(self, doubt: Doubt, signs: Float | None, lately: Float | None) -> tuple[bool, Doubt]:
-        """Whether it is looked for now, by signs of loss (G, SIGNS) now and lately; and the doubt after this frame."""
+    def due(self, doubt: Doubt, signs: Float | None, lately: Float | None, found: float = 0.0) -> tuple[bool, Doubt]:
+        """Whether it is looked for now, by signs of loss (G, SIGNS) now and lately, or because it has been `found`; and
+        the doubt after this frame.
+        """
         waiting = max(doubt.waiting - 1, 0)
-        if signs is None or lately is None or self.probability(signs, lately) < self.doubtful:
+        none = signs is None or lately is None or self.probability(signs, lately) < self.doubtful
+        if none and found < self.found:
             return False, Doubt(waiting, max(doubt.pause - 1, 0))
         return doubt.waiting == 0, replace(doubt, waiting=waiting)
 
@@ -72,3 +78,8 @@ class DoubtRule(Checked):
     def settled(self) -> Doubt:
         """After a search that has found the body elsewhere."""
         return Doubt(self.again)
+
+    @property
+    def begun(self) -> Doubt:
+        """After a search that has found the body anywhere."""
+        return Doubt(1)

@@ -9,30 +9,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Annotated
 
 import numpy as np
 
-from twistcap import se3
 from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose
 from twistcap.body.limbs import limbs
 from twistcap.camera import Rig
 from twistcap.cues.observation import Fit
 from twistcap.predict.history import Moment, Past, jumped, rested
-from twistcap.ranges import Checked, Count, Range, Share
+from twistcap.ranges import Checked, Count, Share
 from twistcap.search import Beginning, Problem, Proposals, Revision
 from twistcap.search.beside import BesideRule, agreement, beside, limbs_beside
+from twistcap.search.body import BodyRule, BodySearch, last_seen
 from twistcap.search.bump import BumpRule, Unrest
 from twistcap.search.contradiction import ContradictionRule, judged
 from twistcap.search.doubt import DoubtRule
-from twistcap.search.evidence import Evidence
 from twistcap.search.flag import MOST_USUAL, USUAL, at_limits, contour_signs, displaced, flag_groups, image_signs
-from twistcap.search.limb import LimbRule, placed, regained, taught
+from twistcap.search.limb import LimbRule, regained, taught
 from twistcap.search.memory import LostMemory
-from twistcap.search.placing import Hypothesis, Placing, PlacingRule
-from twistcap.search.recollection import Covered, Judged, Recollection, fitted
-from twistcap.search.stances import bundled, lowest
+from twistcap.search.recollection import Judged, Recollection, fitted
 from twistcap.search.surroundings import Surroundings
 from twistcap.search.swap import SwapRule
 from twistcap.stages import stage
@@ -48,13 +44,6 @@ class LostBody(Checked):
         lessons: frames that must have taught what is usual, before a body can be lost or a camera left out by that.
         none: evidence below which it is not the body at all.
         learned: evidence from which on a fit is learned from.
-        accepted: evidence from which on a found body is believed.
-        better: by how much its evidence must exceed that of the fit, as a fraction of what is usual.
-        seen: fraction of the pixels that the body covered when it was seen last, below which too little of it is seen;
-            and of those that it usually covers, below which it is not without doubt where it is.
-        worth: evidence from which on a hypothesis is fitted.
-        reach, speed, farthest: m, m/s and m: how far away it is looked for, with the time since it was seen.
-        turned, turning: rad and rad/s: how far it may have turned, with the time; one rad farther costs `better`.
         every, first: frames between lessons, and between the first ten.
         again: frames between searches.
         relit: fraction of the background that fits, over what is usual, below which it is another one.
@@ -62,8 +51,7 @@ class LostBody(Checked):
             changed.
         lately: fraction that the mean of the signs of loss keeps from frame to frame.
         doubted, wary: fractions that the doubt in what was found, and in what jumped, keeps from frame to frame.
-        margin: m about a hypothesis within which images are looked at.
-        limbed: hypotheses whose limbs are looked for one after the other; they may be as they never were before.
+        body, limb: how the whole body is looked for, and a single limb.
         proposals: more poses to judge, as those of keypoints.
     """
 
@@ -72,15 +60,6 @@ class LostBody(Checked):
     lessons: Count = 10
     none: float = 0.3
     learned: float = 0.8
-    accepted: float = 0.8
-    better: float = 0.1
-    worth: float = 0.35
-    seen: Share = 0.4
-    reach: float = 1.0
-    speed: float = 2.5
-    farthest: Annotated[float, Range(0.0, 50.0)] = 4.0
-    turned: float = 0.5
-    turning: float = 3.0
     every: Count = 10
     first: Count = 3
     again: Count = 3
@@ -89,9 +68,7 @@ class LostBody(Checked):
     lately: Share = 0.7
     doubted: Share = 0.85
     wary: Share = 0.95
-    margin: float = 0.3
-    limbed: Count = 4
-    placing: PlacingRule = field(default_factory=PlacingRule)
+    body: BodyRule = field(default_factory=BodyRule)
     contradiction: ContradictionRule = field(default_factory=ContradictionRule)
     beside: BesideRule = field(default_factory=BesideRule)
     limb: LimbRule = field(default_factory=LimbRule)
@@ -123,8 +100,7 @@ class LostBody(Checked):
         problem = problem.turned_back(bumps) if bumps else problem
         pose = self._searched(memory, problem)
         if pose is not None:
-            found = np.ones(len(memory.groups))
-            return Beginning(pose, bumps, sources), replace(memory, nowhere=False, found=found)
+            return Beginning(pose, bumps, sources), self._found(memory)
         if not memory.known.sure:
             return Beginning(problem.start, bumps, sources) if bumps or sources else None, memory
         return Beginning(None, bumps, sources), replace(memory, waiting=self.again - 1, nowhere=True)
@@ -175,11 +151,11 @@ class LostBody(Checked):
             now, last, memory = self._with_limbs(memory, now, last)
             if usual_known:
                 missed = self._missed(memory)
-                near = self._elsewhere(memory, now, ratio, self.margin) if missed else self._reconsidered(memory, now)
-                revision, memory = near
+                near = partial(self._elsewhere, ratio=ratio, reach=self.body.margin) if missed else self._reconsidered
+                revision, memory = near(memory, now)
             if revision is None:
                 memory = self._learned(replace(memory, waiting=0), now, float(np.nan_to_num(ratio, nan=1.0)))
-                if ratio >= self.learned and memory.found.max() < 0.5 and known.in_sight(now.check) >= self.seen:
+                if ratio >= self.learned and memory.found.max() < 0.5 and known.in_sight(now.check) >= self.body.seen:
                     memory = replace(memory, surely=Moment(problem.frame.time, now.fit.pose))
         return replace(revision or Revision(now.fit, last), left_out=now.problem.left_out), memory
 
@@ -189,7 +165,7 @@ class LostBody(Checked):
         """
         fitting = now.check.fitting / known.fitting
         seen = ~np.isnan(fitting)
-        if known.in_sight(now.check) < self.seen or not seen.any() or np.any(fitting[seen] >= self.relit):
+        if known.in_sight(now.check) < self.body.seen or not seen.any() or np.any(fitting[seen] >= self.relit):
             return None
         again = fitted(known.forgotten(), now.problem.without_look())
         return again if agreement(again.fit) >= self.agreeing else None
@@ -284,17 +260,20 @@ class LostBody(Checked):
         problem, here = now.problem, now.fit.pose
         pose = None if memory.waiting else self._searched(memory, problem, here)
         if pose is not None and np.linalg.norm(pose.root[:3, 3] - here.root[:3, 3]) < reach:
-            memory = replace(memory, waiting=0, nowhere=False, found=np.ones(len(memory.groups)))
-            return self._at(problem, problem.afresh(pose, self.margin)), memory
+            return self._at(problem, problem.afresh(pose, self.body.margin)), replace(self._found(memory), waiting=0)
         nowhere = ratio < self.none
         memory = replace(memory, waiting=(memory.waiting or self.again) - 1, nowhere=nowhere)
         return (Revision(None, problem.past.moments[-1]) if nowhere else None), memory
 
+    def _found(self, memory: LostMemory) -> LostMemory:
+        """After a search that has found the whole body."""
+        return replace(memory, nowhere=False, found=np.ones(len(memory.groups)), doubt=self.doubt.begun)
+
     def _reconsidered(self, memory: LostMemory, now: Judged) -> tuple[Revision | None, LostMemory]:
         """The body near where it is fitted, where that is in doubt and the pictures show it better."""
-        due, doubt = self.doubt.due(memory.doubt, memory.signs, memory.lately)
+        due, doubt = self.doubt.due(memory.doubt, memory.signs, memory.lately, float(memory.found[-1]))
         memory, problem, here = replace(memory, doubt=doubt), now.problem, now.fit.pose
-        if not due or memory.known.in_sight(now.check) < self.seen:  # what little is seen may look better anywhere
+        if not due or memory.known.in_sight(now.check) < self.body.seen:  # what little is seen may look better anywhere
             return None, memory
         pose = self._searched(memory, problem, here, self.doubt.gain)
         if pose is not None and np.linalg.norm(pose.root[:3, 3] - here.root[:3, 3]) < self.doubt.near:
@@ -309,7 +288,7 @@ class LostBody(Checked):
         before = problem.past.moments[-1]
         last = jumped(before, fit.pose.minus(problem.start), fit.pose)
         moved = np.linalg.norm((fit.pose.root - last.pose.root)[:3, 3])
-        if moved > self.speed * (problem.frame.time - before.time):
+        if moved > self.body.speed * (problem.frame.time - before.time):
             last = replace(last, pose=fit.pose)
         return Revision(fit, last, jumped=True)
 
@@ -326,74 +305,10 @@ class LostBody(Checked):
             evidence = memory.known.evidence(problem)
             if not evidence.views:
                 return None
-            evidence = evidence.no_nearer((memory.surely or _last_seen(problem.past)).pose)
-            more = (self.better if better is None else better) * float(memory.known.nats.sum())
+            evidence = evidence.no_nearer((memory.surely or last_seen(problem.past)).pose)
+            more = (self.body.better if better is None else better) * float(memory.known.nats.sum())
             least = -np.inf if here is None else evidence.of(here) + more
-            return self.found(memory.known, problem, evidence, least, memory.surely)
-
-    def found(
-        self, known: Recollection, problem: Problem, evidence: Evidence, least: float, surely: Moment | None = None
-    ) -> Pose | None:
-        """The pose that the images show; None where they show no body clearly enough, or with less evidence."""
-        placing = Placing(evidence, self.placing)
-        last = _last_seen(problem.past)
-        usually, usual = float(evidence.by_part(last.pose)[1].sum()), float(known.nats.sum())
-
-        def standing(h: Hypothesis) -> float:
-            return h.nats - usual * self._too_fast(h.pose, last, problem.frame.time)
-
-        ratio = partial(self._ratio, known, evidence, usually=usually)
-        worth = [h for h in self._modes(known, problem, placing, surely or last) if ratio(h) >= self.worth]
-        near = [placing.hypothesis(pose) for pose in (problem.start, last.pose)]
-        fitted = sorted((self._fitted(problem, evidence, h) for h in [*worth, *near]), key=standing, reverse=True)
-        for h in [*fitted[: self.limbed], *placing.apart(fitted)[1:2]]:
-            fitted.append(self._fitted(problem, evidence, self._with_limbs_placed(known, evidence, h)))
-        best = max(fitted, key=standing)
-        nearer, clear = placing.nearer(fitted, best, (surely or last).pose), ratio(best) - self.better
-        best = max([h for h in nearer if ratio(h) >= max(self.accepted, clear)] or [best], key=standing)
-        refined = placing.refined(best)
-        if refined.nats > best.nats:
-            best = max(best, self._fitted(problem, evidence, refined), key=standing)
-        return best.pose if ratio(best) >= self.accepted and best.nats >= least else None
-
-    def _too_fast(self, pose: Pose, last: Moment, time: float) -> float:
-        """Fraction of the usual evidence that a pose pays for having turned faster than people do."""
-        turn = float(np.linalg.norm(se3.log_rotation(pose.root[:3, :3] @ last.pose.root[:3, :3].T)))
-        return self.better * float(np.clip(turn - self.turned - self.turning * (time - last.time), 0.0, 1.0))
-
-    def _with_limbs_placed(self, known: Recollection, evidence: Evidence, h: Hypothesis) -> Hypothesis:
-        """With each limb where the evidence is greatest."""
-        rng, pose, nats = np.random.default_rng(self.placing.seed), h.pose, h.nats
-        for limb in limbs(evidence.body):
-            pose, nats = placed(self.limb, known.angles, evidence, limb, rng, pose, nats)
-        return Hypothesis(pose, nats)
-
-    def _modes(self, known: Recollection, problem: Problem, placing: Placing, last: Moment) -> list[Hypothesis]:
-        """What is worth a fit: where the body was, is expected or proposed, and where stances fit the pictures: those
-        that it has shown, their mirror images, and those that bodies take.
-        """
-        shown, floor = known.stances, lowest(problem.body, known.stances)
-        raised = (replace(stance, height=stance.height + floor) for stance in bundled(problem.body))
-        stances = [*shown, *(stance.mirrored(problem.body) for stance in shown)]
-        reach = min(self.reach + self.speed * (problem.frame.time - last.time), self.farthest)
-        places = placing.places(stances[:: max(1, len(stances) // 3)], last.pose.root[:2, 3], reach)
-        proposed = () if self.proposals is None else self.proposals(problem)
-        near = [placing.hypothesis(pose) for pose in (problem.start, problem.past.last, last.pose, *proposed)]
-        return placing.distinct([*placing.standing([*stances, *raised], places), *near])
-
-    def _ratio(self, known: Recollection, evidence: Evidence, h: Hypothesis, usually: float) -> float:
-        """Evidence over what is usual for a body that is seen like that; less where little of it is seen."""
-        each = np.zeros((2, *known.nats.shape))
-        each[:, [view.index for view in evidence.views]] = evidence.by_part(h.pose)
-        ratio = float(np.nan_to_num(known.ratio(Covered(each[0], each[1]))))
-        return min(ratio, each[1].sum() / (self.seen * max(usually, 1.0)))
-
-    def _fitted(self, problem: Problem, evidence: Evidence, h: Hypothesis) -> Hypothesis:
-        pose = problem.afresh(h.pose, self.margin).pose
-        value = evidence.of(pose)
-        return Hypothesis(pose, value) if value > h.nats else h
-
-
-def _last_seen(past: Past) -> Moment:
-    """When and where images showed the body last."""
-    return replace((past.seen or past.moments)[-1], time=past.seen_time)
+            proposed = () if self.proposals is None else self.proposals(problem)
+            return BodySearch(
+                self.body, self.limb, memory.known, problem, evidence, memory.surely, proposed, memory.frames
+            ).found(least)  # fmt: skip

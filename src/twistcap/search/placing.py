@@ -59,7 +59,7 @@ class PlacingRule(Checked):
         apart: m between places where two bodies may stand: the best hypothesis of each is kept.
         draws: poses of each branch of the body in each round about the best.
         near: rad, standard deviations of the rounds.
-        seed: of the draws, which are the same in every run.
+        seed: of the draws, which are the same in every run, and others in each frame.
     """
 
     grid: Annotated[float, Range(0.05)] = 0.22

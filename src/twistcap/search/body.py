@@ -1,0 +1,187 @@
+"""The whole body is looked for: where it may stand, in what stance, and then limb by limb until that gains nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Annotated
+
+import numpy as np
+
+from twistcap import se3
+from twistcap.body import Pose
+from twistcap.body.limbs import limbs
+from twistcap.predict.history import Moment, Past
+from twistcap.ranges import Checked, Count, Range, Share
+from twistcap.search import Problem
+from twistcap.search.evidence import Evidence
+from twistcap.search.exchange import exchanged
+from twistcap.search.limb import LimbRule, placed
+from twistcap.search.placing import Hypothesis, Placing, PlacingRule
+from twistcap.search.recollection import Covered, Recollection
+from twistcap.search.stances import bundled, lowest
+
+
+@dataclass(frozen=True)
+class BodyRule(Checked):
+    """How the whole body is looked for. Evidence is a ratio to what is usual for this body.
+
+    Attributes:
+        accepted: evidence from which on a found body is believed.
+        better: by how much its evidence must exceed that of another place, as a fraction of what is usual.
+        seen: fraction of the pixels that the body covered when it was seen last, below which too little of it is seen;
+            and of those that it usually covers, below which it is not without doubt where it is.
+        worth: evidence from which on a hypothesis is fitted.
+        reach, speed, farthest: m, m/s and m: how far away it is looked for, with the time since it was seen.
+        turned, turning: rad and rad/s: how far it may have turned, with the time; one rad farther costs `better`.
+        margin: m about a hypothesis within which images are looked at.
+        limbed: hypotheses whose limbs are looked for one after the other; they may be as they never were before.
+        rounds, little: of draws about the best one, and of looking for its limbs, as long as a round gains more than
+            this fraction of what is usual.
+        near: how much less evidence a body with exchanged limbs may have than the best one, to be tried.
+        placing: of the hypotheses.
+    """
+
+    accepted: float = 0.8
+    better: float = 0.1
+    seen: Share = 0.4
+    worth: float = 0.35
+    reach: float = 1.0
+    speed: float = 2.5
+    farthest: Annotated[float, Range(0.0, 50.0)] = 4.0
+    turned: float = 0.5
+    turning: float = 3.0
+    margin: float = 0.3
+    limbed: Count = 2
+    rounds: Count = 3
+    little: Share = 0.005
+    near: Share = 0.1
+    placing: PlacingRule = field(default_factory=PlacingRule)
+
+    def too_fast(self, pose: Pose, last: Moment, time: float) -> float:
+        """Fraction of the usual evidence that a pose pays for having turned faster than people do."""
+        turn = float(np.linalg.norm(se3.log_rotation(pose.root[:3, :3] @ last.pose.root[:3, :3].T)))
+        return self.better * float(np.clip(turn - self.turned - self.turning * (time - last.time), 0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class BodySearch:
+    """A look for the body in one frame.
+
+    Attributes:
+        rule, limb: how it, and each of its limbs, is looked for.
+        known: what the recording has taught.
+        problem, evidence: of the frame.
+        surely: when and where the body was last without doubt; None for where it was seen last.
+        proposed: more poses to judge.
+        frames: counted; in each of them draws differ.
+    """
+
+    rule: BodyRule
+    limb: LimbRule
+    known: Recollection
+    problem: Problem
+    evidence: Evidence
+    surely: Moment | None = None
+    proposed: Sequence[Pose] = ()
+    frames: int = 0
+
+    def found(self, least: float = -np.inf) -> Pose | None:
+        """The pose that the images show; None where they show no body clearly enough, or none with as much evidence as
+        a fit has that it is to replace.
+        """
+        fitted = sorted(map(self._fitted, self._worth()), key=self._standing, reverse=True)
+        for h in [*fitted[: self.rule.limbed], *self._placing.apart(fitted)[1:2]]:
+            fitted.append(self._fitted(self._with_limbs_placed(h)))
+        starts = [self._believed(fitted)]
+        if least > -np.inf:  # where the body is fitted already would hide where else it may be
+            starts += [h for h in self._placing.distinct(fitted) if h is not starts[0]][:1]
+        best = max(map(self._settled, starts), key=self._standing)
+        for pose in exchanged(self.problem.body, best.pose):
+            other = self._fitted(self._placing.hypothesis(pose))
+            if other.nats > best.nats - self.rule.near * self._usual:
+                best = max(best, self._settled(other), key=self._standing)
+        return best.pose if self._ratio(best) >= self.rule.accepted and best.nats >= least else None
+
+    @cached_property
+    def _placing(self) -> Placing:
+        rule = self.rule.placing
+        return Placing(self.evidence, replace(rule, seed=rule.seed + self.frames))
+
+    @cached_property
+    def _last(self) -> Moment:
+        return last_seen(self.problem.past)
+
+    @cached_property
+    def _usual(self) -> float:
+        return float(self.known.nats.sum())
+
+    @cached_property
+    def _usually(self) -> float:
+        """Pixels that the body covers where it was seen last."""
+        return max(float(self.evidence.by_part(self._last.pose)[1].sum()), 1.0)
+
+    def _worth(self) -> Iterable[Hypothesis]:
+        """What is worth a fit; and where the body is expected, and was seen last."""
+        near = [self._placing.hypothesis(pose) for pose in (self.problem.start, self._last.pose)]
+        return [*(h for h in self._modes() if self._ratio(h) >= self.rule.worth), *near]
+
+    def _modes(self) -> list[Hypothesis]:
+        """Where the body was, is expected or proposed, and where stances fit the pictures: those that it has shown,
+        their mirror images, and those that bodies take.
+        """
+        rule, problem, placing, last = self.rule, self.problem, self._placing, self.surely or self._last
+        shown, floor = self.known.stances, lowest(problem.body, self.known.stances)
+        raised = (replace(stance, height=stance.height + floor) for stance in bundled(problem.body))
+        stances = [*shown, *(stance.mirrored(problem.body) for stance in shown)]
+        reach = min(rule.reach + rule.speed * (problem.frame.time - last.time), rule.farthest)
+        places = placing.places(stances[:: max(1, len(stances) // 3)], last.pose.root[:2, 3], reach)
+        poses = (problem.start, problem.past.last, last.pose, *self.proposed)
+        return placing.distinct([*placing.standing([*stances, *raised], places), *map(placing.hypothesis, poses)])
+
+    def _believed(self, hypotheses: Sequence[Hypothesis]) -> Hypothesis:
+        """The best; if it is elsewhere than where the body was seen, the best of those nearer that are as clear."""
+        best, seen = max(hypotheses, key=self._standing), (self.surely or self._last).pose
+        clear = max(self.rule.accepted, self._ratio(best) - self.rule.better)
+        nearer = [h for h in self._placing.nearer(hypotheses, best, seen) if self._ratio(h) >= clear]
+        return max(nearer or [best], key=self._standing)
+
+    def _settled(self, h: Hypothesis) -> Hypothesis:
+        """The best that draws about it and its limbs elsewhere lead to."""
+        for k in range(self.rule.rounds):
+            before = h.nats
+            h = max(h, self._fitted(self._placing.refined(h)), key=self._standing)
+            if k < self.rule.rounds - 1:
+                h = max(h, self._fitted(self._with_limbs_placed(h)), key=self._standing)
+            if h.nats <= before + self.rule.little * self._usual:
+                break
+        return h
+
+    def _fitted(self, h: Hypothesis) -> Hypothesis:
+        pose = self.problem.afresh(h.pose, self.rule.margin).pose
+        value = self.evidence.of(pose)
+        return Hypothesis(pose, value) if value > h.nats else h
+
+    def _with_limbs_placed(self, h: Hypothesis) -> Hypothesis:
+        """With each limb where the evidence is greatest."""
+        rng, pose, nats = np.random.default_rng(self._placing.rule.seed), h.pose, h.nats
+        for limb in limbs(self.problem.body):
+            pose, nats = placed(self.limb, self.known.angles, self.evidence, limb, rng, pose, nats)
+        return Hypothesis(pose, nats)
+
+    def _standing(self, h: Hypothesis) -> float:
+        """Its evidence, less what its turn costs."""
+        return h.nats - self._usual * self.rule.too_fast(h.pose, self._last, self.problem.frame.time)
+
+    def _ratio(self, h: Hypothesis) -> float:
+        """Evidence over what is usual for a body that is seen like that; less where little of it is seen."""
+        each = np.zeros((2, *self.known.nats.shape))
+        each[:, [view.index for view in self.evidence.views]] = self.evidence.by_part(h.pose)
+        ratio = float(np.nan_to_num(self.known.ratio(Covered(each[0], each[1]))))
+        return min(ratio, each[1].sum() / (self.rule.seen * self._usually))
+
+
+def last_seen(past: Past) -> Moment:
+    """When and where images showed the body last."""
+    return replace((past.seen or past.moments)[-1], time=past.seen_time)

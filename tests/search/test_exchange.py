@@ -1,0 +1,71 @@
+"""Limbs of the two sides, each put where the other one is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from support.faulty_walk import tracked_walk, walk
+from twistcap.body import Pose, Posed
+from twistcap.body.humanoid import humanoid
+from twistcap.body.model import partners
+from twistcap.predict import Prediction
+from twistcap.search import body as whole_body
+from twistcap.search.body import BodyRule, BodySearch
+from twistcap.search.exchange import exchanged
+from twistcap.search.limb import LimbRule
+from twistcap.search.placing import PlacingRule
+from twistcap.track.step import posed_problem
+
+FRAME = 12
+LEG = ("femur", "tibia", "foot")
+
+
+def test_legs_take_each_others_places() -> None:
+    """Of somebody who strides; arms that are spread cannot reach each other's place."""
+    body = humanoid()
+    stride = {"hip_flexion_r": 25, "hip_flexion_l": -20, "knee_angle_l": 30, "arm_add_r": -80, "arm_add_l": -80}
+    q = np.array([np.deg2rad(stride.get(name, 0.0)) for name in body.coordinate_names])
+    pose = Pose(np.eye(4), q)
+    (other,) = exchanged(body, pose)
+    before, after = Posed(body, pose).segment_middles, Posed(body, other).segment_middles
+    legs = np.array([name.split("_")[0] in LEG for name in body.segment_names])
+    missed = np.linalg.norm(after - before[partners(body.segment_names)], axis=1)
+    assert missed[legs].max() < 0.2 < 0.3 < np.linalg.norm(after - before, axis=1)[legs].max()
+    assert np.array_equal(before[~legs], after[~legs])
+    assert np.array_equal(other.within(body.limits).q, other.q)
+
+
+def test_a_body_without_sides_has_nothing_to_exchange() -> None:
+    body = humanoid()
+    names = {
+        f"{kind}_names": tuple(f"{name}x" for name in getattr(body, f"{kind}_names"))
+        for kind in ("coordinate", "segment")
+    }
+    assert exchanged(replace(body, **names), Pose.rest(body)) == []
+
+
+@pytest.mark.parametrize("exchanging", [True, False])
+def test_legs_that_have_been_taken_for_each_other_are_set_right(
+    exchanging: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a search that tries nothing else."""
+    scene, frames = walk()
+    *_, (_, tracker) = islice(tracked_walk(lambda frame: frame), FRAME)
+    truth, none = scene.true_poses[FRAME], np.zeros((scene.body.dof,) * 2)
+    wrong = exchanged(scene.body, truth)[-1]
+    problem = posed_problem(tracker.state, frames[FRAME], tracker.model, Prediction(wrong, "hold", none, none))
+    known = tracker.state.searches["lost body"].known
+    if not exchanging:
+        monkeypatch.setattr(whole_body, "exchanged", lambda body, pose: [])
+    monkeypatch.setattr(BodySearch, "_worth", lambda self: [self._placing.hypothesis(wrong)])
+    monkeypatch.setattr(BodySearch, "_with_limbs_placed", lambda self, h: h)
+    rule = BodyRule(accepted=0.0, rounds=1, placing=PlacingRule(draws=1))
+    found = BodySearch(rule, LimbRule(), known, problem, known.evidence(problem)).found()
+    assert found is not None
+    off = np.linalg.norm(Posed(scene.body, found).landmarks - scene.landmarks[FRAME], axis=1).max()
+    print(off, np.linalg.norm(Posed(scene.body, wrong).landmarks - scene.landmarks[FRAME], axis=1).max())
+    assert (off < 0.05) == exchanging
