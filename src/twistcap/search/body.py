@@ -10,8 +10,11 @@ from typing import Annotated
 import numpy as np
 
 from twistcap import se3
+from twistcap.arrays import Bool, Float
 from twistcap.body import Pose
 from twistcap.body.limbs import limbs
+from twistcap.camera import Camera
+from twistcap.camera.projection import projected
 from twistcap.predict.history import Moment, Past
 from twistcap.ranges import Checked, Count, Range, Share
 from twistcap.search import Problem
@@ -30,8 +33,8 @@ class BodyRule(Checked):
     Attributes:
         accepted: evidence from which on a found body is believed.
         better: by how much its evidence must exceed that of another place, as a fraction of what is usual.
-        seen: fraction of the pixels that the body covered when it was seen last, below which too little of it is seen;
-            and of those that it usually covers, below which it is not without doubt where it is.
+        seen: fraction of the body's surface in a picture, below which that camera does not show it; and of the pixels
+            that the body usually covers, below which it is not without doubt where it is.
         worth: evidence from which on a hypothesis is fitted.
         reach, speed, farthest: m, m/s and m: how far away it is looked for, with the time since it was seen.
         turned, turning: rad and rad/s: how far it may have turned, with the time; one rad farther costs `better`.
@@ -118,9 +121,16 @@ class BodySearch:
         return float(self.known.nats.sum())
 
     @cached_property
-    def _usually(self) -> float:
-        """Pixels that the body covers where it was seen last."""
-        return max(float(self.evidence.by_part(self._last.pose)[1].sum()), 1.0)
+    def _witnesses(self) -> int:
+        """How many cameras must show the body: two, if as many did where it was last without doubt. One alone hardly
+        tells how far away it is.
+        """
+        return min(2, self._showing((self.surely or self._last).pose))
+
+    def _showing(self, pose: Pose) -> int:
+        """Cameras in whose pictures enough of the body is."""
+        points = self._placing.points(pose)
+        return sum(float(_in_picture(v.camera, points).mean()) >= self.rule.seen for v in self.evidence.views)
 
     def _worth(self) -> Iterable[Hypothesis]:
         """What is worth a fit; and where the body is expected, and was seen last."""
@@ -175,11 +185,18 @@ class BodySearch:
         return h.nats - self._usual * self.rule.too_fast(h.pose, self._last, self.problem.frame.time)
 
     def _ratio(self, h: Hypothesis) -> float:
-        """Evidence over what is usual for a body that is seen like that; less where little of it is seen."""
+        """Evidence over what is usual for a body that is seen like that; none where too few cameras show it."""
+        if self._showing(h.pose) < self._witnesses:
+            return 0.0
         each = np.zeros((2, *self.known.nats.shape))
         each[:, [view.index for view in self.evidence.views]] = self.evidence.by_part(h.pose)
-        ratio = float(np.nan_to_num(self.known.ratio(Covered(each[0], each[1]))))
-        return min(ratio, each[1].sum() / (self.rule.seen * self._usually))
+        return float(np.nan_to_num(self.known.ratio(Covered(each[0], each[1]))))
+
+
+def _in_picture(camera: Camera, points: Float) -> Bool:
+    """(N,) which points (N, 3) lie in a camera's picture."""
+    pixels, nearness = projected(camera, points)
+    return np.asarray((nearness > 0.0) & np.all((pixels >= 0.0) & (pixels < camera.size), axis=1), np.bool_)
 
 
 def last_seen(past: Past) -> Moment:
