@@ -21,7 +21,7 @@ from twistcap.search.body import BodyRule, BodySearch
 from twistcap.search.evidence import Evidence, EvidenceView
 from twistcap.search.limb import LimbRule
 from twistcap.search.lost import LostBody
-from twistcap.search.placing import Placing, PlacingRule
+from twistcap.search.placing import Hypothesis, Placing, PlacingRule
 from twistcap.search.recollection import Judged, Recollection
 from twistcap.studio import StudioConfig, capture
 from twistcap.track import Tracker
@@ -56,6 +56,35 @@ def test_somebody_alike_who_is_nearer_to_a_camera_is_not_taken_for_the_person(ca
     found = BodySearch(BodyRule(), LimbRule(), known, problem, known.evidence(problem), seen).found()
     assert found is not None
     assert np.linalg.norm((found.root - scene.true_poses[12].root)[:3, 3]) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("cameras", "away_m", "believed"), [((0, 1, 2), 0.0, True), ((0, 1, 2), 6.0, False), ((0,), 0.0, True)]
+)
+def test_a_body_that_returns_is_believed_where_two_cameras_show_it(
+    cameras: tuple[int, ...], away_m: float, believed: bool
+) -> None:
+    """Or the only one that has a picture. All others but the first look past it."""
+    scene, frames = walk()
+    *_, (_, tracker) = islice(tracked_walk(lambda frame: frame), 12)
+    truth, none = scene.true_poses[12], np.zeros((scene.body.dof,) * 2)
+    problem = posed_problem(tracker.state, frames[12], tracker.model, Prediction(truth, "hold", none, none))
+    known = tracker.state.searches["lost body"].known
+    seen = Moment(frames[11].time, truth)
+    search = BodySearch(BodyRule(), LimbRule(), known, problem, known.evidence(problem), seen)
+    search = replace(search, evidence=replace(search.evidence, views=[search.evidence.views[i] for i in cameras]))
+    assert search._witnesses == min(2, len(cameras))
+    first, *others = search.evidence.views
+    past = [_looking_past(view, away_m) for view in others]
+    elsewhere = replace(search, evidence=replace(search.evidence, views=[first, *past]))
+    elsewhere.__dict__["_witnesses"] = search._witnesses
+    assert (elsewhere._ratio(Hypothesis(truth, 0.0)) > elsewhere.rule.accepted) is believed
+
+
+def _looking_past(view: EvidenceView, away_m: float) -> EvidenceView:
+    """The view of a camera that stands elsewhere, sideways."""
+    aside = se3.transform(np.eye(3), np.array([away_m, 0.0, 0.0]))
+    return replace(view, camera=replace(view.camera, T_cam_world=aside @ view.camera.T_cam_world))
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,7 @@ class DoubtRule(Checked):
     """
 
     doubtful: Share = 0.01
-    found: Share = 0.05
+    found: Share = 0.3
     gain: float = 0.04
     near: Annotated[float, Range(0.0, 10.0)] = 0.1
     moved: Annotated[float, Range(0.0, 1.0)] = 0.05
@@ -60,8 +60,8 @@ class DoubtRule(Checked):
         the doubt after this frame.
         """
         waiting = max(doubt.waiting - 1, 0)
-        none = signs is None or lately is None or self.probability(signs, lately) < self.doubtful
-        if none and found < self.found:
+        calm = signs is None or lately is None or self.probability(signs, lately) < self.doubtful
+        if calm and found < self.found:
             return False, Doubt(waiting, max(doubt.pause - 1, 0))
         return doubt.waiting == 0, replace(doubt, waiting=waiting)
 
