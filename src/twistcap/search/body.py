@@ -21,7 +21,7 @@ from twistcap.search import Problem
 from twistcap.search.evidence import Evidence
 from twistcap.search.exchange import exchanged
 from twistcap.search.limb import LimbRule, placed
-from twistcap.search.placing import Hypothesis, Placing, PlacingRule
+from twistcap.search.placing import Hypothesis, Placing, PlacingRule, away
 from twistcap.search.recollection import Covered, Recollection
 from twistcap.search.stances import bundled, lowest
 
@@ -97,9 +97,8 @@ class BodySearch:
         fitted = sorted(map(self._fitted, self._worth()), key=self._standing, reverse=True)
         for h in [*fitted[: self.rule.limbed], *self._placing.apart(fitted)[1:2]]:
             fitted.append(self._fitted(self._with_limbs_placed(h)))
-        starts = [self._believed(fitted)]
-        if least > -np.inf:  # where the body is fitted already would hide where else it may be
-            starts += [h for h in self._placing.distinct(fitted) if h is not starts[0]][:1]
+        first = self._believed(fitted)
+        starts = [first, *self._beside(first, fitted)] if least > -np.inf else [first]
         best = max(map(self._settled, starts), key=self._standing)
         for pose in exchanged(self.problem.body, best.pose):
             other = self._fitted(self._placing.hypothesis(pose))
@@ -156,6 +155,11 @@ class BodySearch:
         clear = max(self.rule.accepted, self._ratio(best) - self.rule.better)
         nearer = [h for h in self._placing.nearer(hypotheses, best, seen) if self._ratio(h) >= clear]
         return max(nearer or [best], key=self._standing)
+
+    def _beside(self, best: Hypothesis, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The best other pose of a body that stands there. One that is fitted already would hide it."""
+        there = (h for h in self._placing.distinct(hypotheses) if away(h.pose, best.pose) <= self.rule.placing.apart)
+        return [h for h in there if h is not best][:1]
 
     def _settled(self, h: Hypothesis) -> Hypothesis:
         """The best that draws about it and its limbs elsewhere lead to."""
