@@ -116,7 +116,7 @@ def test_a_detector_is_asked_only_where_the_body_is_looked_for(
     monkeypatch.setattr(detectors, "detector", lambda name: detect)
     assert run("track", session(filmed, 'detector = "mine"'), "--out", tmp_path / "out") == 0
     result = read_result(tmp_path / "out" / "result.h5")
-    assert asked == [0, BACK]  # the first pose, and once after the gap
+    assert asked == [0, BACK, BACK + 1]  # the first pose, and twice after the gap
     assert greatest_error(BACK, result.estimates[BACK].pose) < 0.05
 
 
