@@ -67,5 +67,4 @@ def test_legs_that_have_been_taken_for_each_other_are_set_right(
     found = BodySearch(rule, LimbRule(), known, problem, known.evidence(problem)).found()
     assert found is not None
     off = np.linalg.norm(Posed(scene.body, found).landmarks - scene.landmarks[FRAME], axis=1).max()
-    print(off, np.linalg.norm(Posed(scene.body, wrong).landmarks - scene.landmarks[FRAME], axis=1).max())
     assert (off < 0.05) == exchanging

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated
@@ -35,7 +35,7 @@ class BodyRule(Checked):
         better: by how much its evidence must exceed that of another place, as a fraction of what is usual.
         seen: fraction of the body's surface in a picture, below which that camera does not show it; and of the pixels
             that the body usually covers, below which it is not without doubt where it is.
-        worth: evidence from which on a hypothesis is fitted.
+        worth: evidence from which on a hypothesis is fitted, and from which on the best one is looked at more closely.
         reach, speed, farthest: m, m/s and m: how far away it is looked for, with the time since it was seen.
         turned, turning: rad and rad/s: how far it may have turned, with the time; one rad farther costs `better`.
         margin: m about a hypothesis within which images are looked at.
@@ -78,7 +78,6 @@ class BodySearch:
         problem, evidence: of the frame.
         surely: when and where the body was last without doubt; None for where it was seen last.
         proposed: more poses to judge.
-        frames: counted; in each of them draws differ.
     """
 
     rule: BodyRule
@@ -88,7 +87,6 @@ class BodySearch:
     evidence: Evidence
     surely: Moment | None = None
     proposed: Sequence[Pose] = ()
-    frames: int = 0
 
     def found(self, least: float = -np.inf) -> Pose | None:
         """The pose that the images show; None where they show no body clearly enough, or none with as much evidence as
@@ -98,18 +96,20 @@ class BodySearch:
         for h in [*fitted[: self.rule.limbed], *self._placing.apart(fitted)[1:2]]:
             fitted.append(self._fitted(self._with_limbs_placed(h)))
         first = self._believed(fitted)
+        if self._ratio(first) < self.rule.worth:
+            return None
         starts = [first, *self._beside(first, fitted)] if least > -np.inf else [first]
-        best = max(map(self._settled, starts), key=self._standing)
+        best = max(map(self._settled, starts), key=self._rank)
         for pose in exchanged(self.problem.body, best.pose):
             other = self._fitted(self._placing.hypothesis(pose))
             if other.nats > best.nats - self.rule.near * self._usual:
-                best = max(best, self._settled(other), key=self._standing)
+                best = max(best, self._settled(other), key=self._rank)
         return best.pose if self._ratio(best) >= self.rule.accepted and best.nats >= least else None
 
     @cached_property
     def _placing(self) -> Placing:
         rule = self.rule.placing
-        return Placing(self.evidence, replace(rule, seed=rule.seed + self.frames))
+        return Placing(self.evidence, replace(rule, seed=rule.seed + self.problem.frame.index))
 
     @cached_property
     def _last(self) -> Moment:
@@ -131,7 +131,7 @@ class BodySearch:
         points = self._placing.points(pose)
         return sum(float(_in_picture(v.camera, points).mean()) >= self.rule.seen for v in self.evidence.views)
 
-    def _worth(self) -> Iterable[Hypothesis]:
+    def _worth(self) -> list[Hypothesis]:
         """What is worth a fit; and where the body is expected, and was seen last."""
         near = [self._placing.hypothesis(pose) for pose in (self.problem.start, self._last.pose)]
         return [*(h for h in self._modes() if self._ratio(h) >= self.rule.worth), *near]
@@ -151,7 +151,7 @@ class BodySearch:
 
     def _believed(self, hypotheses: Sequence[Hypothesis]) -> Hypothesis:
         """The best; if it is elsewhere than where the body was seen, the best of those nearer that are as clear."""
-        best, seen = max(hypotheses, key=self._standing), (self.surely or self._last).pose
+        best, seen = max(hypotheses, key=self._rank), (self.surely or self._last).pose
         clear = max(self.rule.accepted, self._ratio(best) - self.rule.better)
         nearer = [h for h in self._placing.nearer(hypotheses, best, seen) if self._ratio(h) >= clear]
         return max(nearer or [best], key=self._standing)
@@ -187,6 +187,10 @@ class BodySearch:
     def _standing(self, h: Hypothesis) -> float:
         """Its evidence, less what its turn costs."""
         return h.nats - self._usual * self.rule.too_fast(h.pose, self._last, self.problem.frame.time)
+
+    def _rank(self, h: Hypothesis) -> tuple[bool, float]:
+        """What can be believed comes first, then what stands better."""
+        return self._ratio(h) >= self.rule.accepted, self._standing(h)
 
     def _ratio(self, h: Hypothesis) -> float:
         """Evidence over what is usual for a body that is seen like that; none where too few cameras show it."""

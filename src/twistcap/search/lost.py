@@ -24,7 +24,7 @@ from twistcap.search.beside import BesideRule, agreement, beside, limbs_beside
 from twistcap.search.body import BodyRule, BodySearch, last_seen
 from twistcap.search.bump import BumpRule, Unrest
 from twistcap.search.contradiction import ContradictionRule, judged
-from twistcap.search.doubt import DoubtRule
+from twistcap.search.doubt import Doubt, DoubtRule
 from twistcap.search.flag import MOST_USUAL, USUAL, at_limits, contour_signs, displaced, flag_groups, image_signs
 from twistcap.search.limb import LimbRule, regained, taught
 from twistcap.search.memory import LostMemory
@@ -260,7 +260,8 @@ class LostBody(Checked):
         problem, here = now.problem, now.fit.pose
         pose = None if memory.waiting else self._searched(memory, problem, here)
         if pose is not None and np.linalg.norm(pose.root[:3, 3] - here.root[:3, 3]) < reach:
-            return self._at(problem, problem.afresh(pose, self.body.margin)), replace(self._found(memory), waiting=0)
+            memory = replace(self._found(memory), waiting=0, doubt=Doubt())  # this frame is over for `due`
+            return self._at(problem, problem.afresh(pose, self.body.margin)), memory
         nowhere = ratio < self.none
         memory = replace(memory, waiting=(memory.waiting or self.again) - 1, nowhere=nowhere)
         return (Revision(None, problem.past.moments[-1]) if nowhere else None), memory
@@ -309,6 +310,5 @@ class LostBody(Checked):
             more = (self.body.better if better is None else better) * float(memory.known.nats.sum())
             least = -np.inf if here is None else evidence.of(here) + more
             proposed = () if self.proposals is None else self.proposals(problem)
-            return BodySearch(
-                self.body, self.limb, memory.known, problem, evidence, memory.surely, proposed, memory.frames
-            ).found(least)  # fmt: skip
+            search = BodySearch(self.body, self.limb, memory.known, problem, evidence, memory.surely, proposed)
+            return search.found(least)
