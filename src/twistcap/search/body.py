@@ -121,8 +121,8 @@ class BodySearch:
 
     @cached_property
     def _witnesses(self) -> int:
-        """How many cameras must show the body: two, if as many did where it was last without doubt. One alone hardly
-        tells how far away it is.
+        """How many cameras must show the body: two, if as many of those that have a picture now would show it where it
+        was last without doubt. One alone hardly tells how far away it is.
         """
         return min(2, self._showing((self.surely or self._last).pose))
 
