@@ -62,7 +62,7 @@ def test_legs_that_have_been_taken_for_each_other_are_set_right(
     if not exchanging:
         monkeypatch.setattr(whole_body, "exchanged", lambda body, pose: [])
     monkeypatch.setattr(BodySearch, "_worth", lambda self: [self._placing.hypothesis(wrong)])
-    monkeypatch.setattr(BodySearch, "_with_limbs_placed", lambda self, h: h)
+    monkeypatch.setattr(BodySearch, "_with_limbs_placed", lambda self, h, turn=0: h)
     rule = BodyRule(accepted=0.0, rounds=1, placing=PlacingRule(draws=1))
     found = BodySearch(rule, LimbRule(), known, problem, known.evidence(problem)).found()
     assert found is not None

@@ -101,7 +101,7 @@ class BodySearch:
         starts = [first, *self._beside(first, fitted)] if least > -np.inf else [first]
         best = max(map(self._settled, starts), key=self._rank)
         for pose in exchanged(self.problem.body, best.pose):
-            other = self._fitted(self._placing.hypothesis(pose))
+            other = self._fitted(self._fitted(self._placing.hypothesis(pose)))  # limbs may still be far off
             if other.nats > best.nats - self.rule.near * self._usual:
                 best = max(best, self._settled(other), key=self._rank)
         return best.pose if self._ratio(best) >= self.rule.accepted and best.nats >= least else None
@@ -165,21 +165,25 @@ class BodySearch:
         """The best that draws about it and its limbs elsewhere lead to."""
         for k in range(self.rule.rounds):
             before = h.nats
-            h = max(h, self._fitted(self._placing.refined(h)), key=self._standing)
+            h = self._better(h, self._placing.refined(h, k))
             if k < self.rule.rounds - 1:
-                h = max(h, self._fitted(self._with_limbs_placed(h)), key=self._standing)
+                h = self._better(h, self._with_limbs_placed(h, k))
             if h.nats <= before + self.rule.little * self._usual:
                 break
         return h
+
+    def _better(self, h: Hypothesis, moved: Hypothesis) -> Hypothesis:
+        """The better of a hypothesis and of what moving it leads to."""
+        return h if moved.nats <= h.nats else max(h, self._fitted(moved), key=self._standing)
 
     def _fitted(self, h: Hypothesis) -> Hypothesis:
         pose = self.problem.afresh(h.pose, self.rule.margin).pose
         value = self.evidence.of(pose)
         return Hypothesis(pose, value) if value > h.nats else h
 
-    def _with_limbs_placed(self, h: Hypothesis) -> Hypothesis:
-        """With each limb where the evidence is greatest."""
-        rng, pose, nats = np.random.default_rng(self._placing.rule.seed), h.pose, h.nats
+    def _with_limbs_placed(self, h: Hypothesis, turn: int = 0) -> Hypothesis:
+        """With each limb where the evidence is greatest; other draws in each turn."""
+        rng, pose, nats = np.random.default_rng((self._placing.rule.seed, turn)), h.pose, h.nats
         for limb in limbs(self.problem.body):
             pose, nats = placed(self.limb, self.known.angles, self.evidence, limb, rng, pose, nats)
         return Hypothesis(pose, nats)

@@ -20,6 +20,7 @@ from twistcap.body.limbs import branches
 from twistcap.body.model import partners, unsided
 from twistcap.ranges import Checked, Count, Range
 from twistcap.search.evidence import Evidence
+from twistcap.search.redrawn import RedrawnLimb
 
 _UP = np.array([0.0, 0.0, 1.0])
 _FLIP = np.diag([1.0, -1.0, 1.0])
@@ -190,14 +191,15 @@ class Placing:
         """
         return [h for h in hypotheses if away(h.pose, seen) < away(best.pose, seen) - self.rule.apart]
 
-    def refined(self, h: Hypothesis) -> Hypothesis:
-        """The best of draws about a hypothesis, one branch of the body after the other."""
-        rng = np.random.default_rng(self.rule.seed)
+    def refined(self, h: Hypothesis, turn: int = 0) -> Hypothesis:
+        """The best of draws about a hypothesis, one branch of the body after the other; other draws in each turn."""
+        rng = np.random.default_rng((self.rule.seed, turn))
         for near in self.rule.near:
             for branch in branches(self.body):
+                of = self.evidence.of if branch[0] else RedrawnLimb.at(self.evidence, h.pose, branch).of
                 for _ in range(self.rule.draws):
                     pose = h.pose.retract(self._step(rng, branch, near, h.pose)).within(self.body.limits)
-                    value = self.evidence.of(pose)
+                    value = of(pose)
                     if value > h.nats:
                         h = Hypothesis(pose, value)
         return h
