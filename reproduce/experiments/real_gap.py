@@ -59,7 +59,7 @@ ARMS = {
 
 def drawn(model: Model, seed: int) -> Model:
     """The model with the searches' draws of a seed."""
-    return replace(model, searches=(LostBody(body=BodyRule(placing=PlacingRule(seed=seed))),))
+    return replace(model, searches=(LostBody(whole=BodyRule(placing=PlacingRule(seed=seed))),))
 
 
 @dataclass(frozen=True)

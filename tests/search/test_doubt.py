@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import islice
+from typing import Any
 
 import numpy as np
 import pytest
 
 from support.faulty_walk import tracked_walk, walk
+from twistcap import se3
 from twistcap.body import Pose, Posed
 from twistcap.body.model import partners
 from twistcap.predict import Prediction
+from twistcap.search import Problem
 from twistcap.search.doubt import Doubt, DoubtRule
 from twistcap.search.lost import LostBody
+from twistcap.search.memory import LostMemory
 from twistcap.search.recollection import Judged
+from twistcap.track import Tracker
 from twistcap.track.step import posed_problem
 
 FRAME = 12
@@ -45,6 +50,34 @@ def test_it_is_looked_for_again_for_a_while_after_it_has_been_found() -> None:
         if due:
             doubt, asked = rule.in_vain(doubt), [*asked, k]
     assert asked == [1, 5]
+
+
+@pytest.mark.parametrize("torn_away", [False, True])
+def test_a_body_that_has_been_found_is_looked_for_again_one_and_five_frames_later(
+    torn_away: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a gap, and where its fit was lost."""
+    searched, looked_for = list[int](), LostBody._searched
+
+    def noted(self: LostBody, memory: LostMemory, problem: Problem, *rest: Any) -> Pose | None:
+        searched.append(problem.frame.index)
+        return looked_for(self, memory, problem, *rest)
+
+    monkeypatch.setattr(LostBody, "_searched", noted)
+    _, frames = walk()
+    *_, (_, before) = islice(tracked_walk(lambda frame: frame), FRAME)
+    tracker, past = Tracker(before.model), before.state.past
+    tracker.state = before.state
+    if torn_away:
+        away = replace(past.last, root=se3.transform(np.eye(3), np.array([0.6, 0.4, 0.0])) @ past.last.root)
+        moment = replace(past.moments[-1], pose=away)
+        tracker.state = before.state.with_past(replace(past, moments=(moment,)))
+    else:
+        frames = [replace(frame, images=(None,) * len(frame.images)) if frame.index < 18 else frame for frame in frames]
+    for frame in frames[FRAME:30]:
+        tracker.step(frame)
+    found = FRAME if torn_away else 18
+    assert searched == [found, found + 1, found + 5]
 
 
 @pytest.mark.parametrize(("wrong", "gain", "found"), [(True, 0.04, True), (True, 9.0, False), (False, 0.04, False)])

@@ -33,8 +33,7 @@ class BodyRule(Checked):
     Attributes:
         accepted: evidence from which on a found body is believed.
         better: by how much its evidence must exceed that of another place, as a fraction of what is usual.
-        seen: fraction of the body's surface in a picture, below which that camera does not show it; and of the pixels
-            that the body usually covers, below which it is not without doubt where it is.
+        in_picture: fraction of the body's surface in a picture, below which that camera does not show it.
         worth: evidence from which on a hypothesis is fitted, and from which on the best one is looked at more closely.
         reach, speed, farthest: m, m/s and m: how far away it is looked for, with the time since it was seen.
         turned, turning: rad and rad/s: how far it may have turned, with the time; one rad farther costs `better`.
@@ -42,13 +41,13 @@ class BodyRule(Checked):
         limbed: hypotheses whose limbs are looked for one after the other; they may be as they never were before.
         rounds, little: of draws about the best one, and of looking for its limbs, as long as a round gains more than
             this fraction of what is usual.
-        near: how much less evidence a body with exchanged limbs may have than the best one, to be tried.
+        close: how much less evidence than the best one a body with exchanged limbs may have, and be tried.
         placing: of the hypotheses.
     """
 
     accepted: float = 0.8
     better: float = 0.1
-    seen: Share = 0.4
+    in_picture: Share = 0.4
     worth: float = 0.35
     reach: float = 1.0
     speed: float = 2.5
@@ -59,7 +58,7 @@ class BodyRule(Checked):
     limbed: Count = 2
     rounds: Count = 3
     little: Share = 0.005
-    near: Share = 0.1
+    close: Share = 0.1
     placing: PlacingRule = field(default_factory=PlacingRule)
 
     def too_fast(self, pose: Pose, last: Moment, time: float) -> float:
@@ -88,7 +87,7 @@ class BodySearch:
     surely: Moment | None = None
     proposed: Sequence[Pose] = ()
 
-    def found(self, least: float = -np.inf) -> Pose | None:
+    def found(self, least: float | None = None) -> Pose | None:
         """The pose that the images show; None where they show no body clearly enough, or none with as much evidence as
         a fit has that it is to replace.
         """
@@ -98,13 +97,13 @@ class BodySearch:
         first = self._believed(fitted)
         if self._ratio(first) < self.rule.worth:
             return None
-        starts = [first, *self._beside(first, fitted)] if least > -np.inf else [first]
+        starts = [first, *self._beside(first, fitted)] if least is not None else [first]
         best = max(map(self._settled, starts), key=self._rank)
         for pose in exchanged(self.problem.body, best.pose):
             other = self._fitted(self._fitted(self._placing.hypothesis(pose)))  # limbs may still be far off
-            if other.nats > best.nats - self.rule.near * self._usual:
+            if other.nats > best.nats - self.rule.close * self._usual:
                 best = max(best, self._settled(other), key=self._rank)
-        return best.pose if self._ratio(best) >= self.rule.accepted and best.nats >= least else None
+        return best.pose if self._ratio(best) >= self.rule.accepted and (least is None or best.nats >= least) else None
 
     @cached_property
     def _placing(self) -> Placing:
@@ -129,7 +128,7 @@ class BodySearch:
     def _showing(self, pose: Pose) -> int:
         """Cameras in whose pictures enough of the body is."""
         points = self._placing.points(pose)
-        return sum(float(_in_picture(v.camera, points).mean()) >= self.rule.seen for v in self.evidence.views)
+        return sum(float(_in_picture(v.camera, points).mean()) >= self.rule.in_picture for v in self.evidence.views)
 
     def _worth(self) -> list[Hypothesis]:
         """What is worth a fit; and where the body is expected, and was seen last."""

@@ -36,8 +36,8 @@ class DoubtRule(Checked):
     Attributes:
         doubtful: probability of being lost from which on it is looked for. Of the fault bench's lost frames 89 %
             have it, and of those that are right 9 %.
-        found: what is left of the doubt in a body that a search has found, from which on it is looked for again: the
-            draws of one search may all have missed it.
+        newly_found: what is left of the doubt in a body that a search has found, from which on it is looked for again:
+            the draws of one search may all have missed it.
         gain: evidence that it must gain, as a fraction of what is usual.
         near: m that the root may move. It is the limbs that are in doubt: where cameras contradict each other, one that
             is wrong would pull the whole body aside.
@@ -47,7 +47,7 @@ class DoubtRule(Checked):
     """
 
     doubtful: Share = 0.01
-    found: Share = 0.3
+    newly_found: Share = 0.3
     gain: float = 0.04
     near: Annotated[float, Range(0.0, 10.0)] = 0.1
     moved: Annotated[float, Range(0.0, 1.0)] = 0.05
@@ -61,7 +61,7 @@ class DoubtRule(Checked):
         """
         waiting = max(doubt.waiting - 1, 0)
         calm = signs is None or lately is None or self.probability(signs, lately) < self.doubtful
-        if calm and found < self.found:
+        if calm and found < self.newly_found:
             return False, Doubt(waiting, max(doubt.pause - 1, 0))
         return doubt.waiting == 0, replace(doubt, waiting=waiting)
 

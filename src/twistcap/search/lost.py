@@ -8,7 +8,6 @@ as strong as it usually is; else it is nowhere, and its pose is held.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
@@ -51,7 +50,8 @@ class LostBody(Checked):
             changed.
         lately: fraction that the mean of the signs of loss keeps from frame to frame.
         doubted, wary: fractions that the doubt in what was found, and in what jumped, keeps from frame to frame.
-        body, limb: how the whole body is looked for, and a single limb.
+        in_sight: fraction of the pixels that the body usually covers, below which it is not without doubt where it is.
+        whole, limb: how the whole body is looked for, and a single limb.
         proposals: more poses to judge, as those of keypoints.
     """
 
@@ -68,7 +68,8 @@ class LostBody(Checked):
     lately: Share = 0.7
     doubted: Share = 0.85
     wary: Share = 0.95
-    body: BodyRule = field(default_factory=BodyRule)
+    in_sight: Share = 0.4
+    whole: BodyRule = field(default_factory=BodyRule)
     contradiction: ContradictionRule = field(default_factory=ContradictionRule)
     beside: BesideRule = field(default_factory=BesideRule)
     limb: LimbRule = field(default_factory=LimbRule)
@@ -150,12 +151,10 @@ class LostBody(Checked):
         else:  # or nothing can be said
             now, last, memory = self._with_limbs(memory, now, last)
             if usual_known:
-                missed = self._missed(memory)
-                near = partial(self._elsewhere, ratio=ratio, reach=self.body.margin) if missed else self._reconsidered
-                revision, memory = near(memory, now)
+                revision, memory = self._reconsidered(memory, now)
             if revision is None:
                 memory = self._learned(replace(memory, waiting=0), now, float(np.nan_to_num(ratio, nan=1.0)))
-                if ratio >= self.learned and memory.found.max() < 0.5 and known.in_sight(now.check) >= self.body.seen:
+                if ratio >= self.learned and memory.found.max() < 0.5 and known.in_sight(now.check) >= self.in_sight:
                     memory = replace(memory, surely=Moment(problem.frame.time, now.fit.pose))
         return replace(revision or Revision(now.fit, last), left_out=now.problem.left_out), memory
 
@@ -165,7 +164,7 @@ class LostBody(Checked):
         """
         fitting = now.check.fitting / known.fitting
         seen = ~np.isnan(fitting)
-        if known.in_sight(now.check) < self.body.seen or not seen.any() or np.any(fitting[seen] >= self.relit):
+        if known.in_sight(now.check) < self.in_sight or not seen.any() or np.any(fitting[seen] >= self.relit):
             return None
         again = fitted(known.forgotten(), now.problem.without_look())
         return again if agreement(again.fit) >= self.agreeing else None
@@ -221,10 +220,6 @@ class LostBody(Checked):
         slipping = [] if memory.signs is None else self.limb.slipping(memory.signs)
         return slipping or self.limb.due(memory.known, now.check, memory.groups, memory.frames)
 
-    def _missed(self, memory: LostMemory) -> bool:
-        """Whether lost limbs have just been looked for in vain: what they hang on may be wrong."""
-        return memory.limb_waiting == memory.limb_pause > 0 and len(self._lost_limbs(memory)) > 1
-
     def _lost_limbs(self, memory: LostMemory) -> list[int]:
         return [] if memory.signs is None or memory.lately is None else self.limb.lost(memory.signs, memory.lately)
 
@@ -253,15 +248,13 @@ class LostBody(Checked):
             memory = replace(memory, unrest=memory.unrest.of(moved))
         return replace(memory, known=known)
 
-    def _elsewhere(
-        self, memory: LostMemory, now: Judged, ratio: float, reach: float = np.inf
-    ) -> tuple[Revision | None, LostMemory]:
-        """The body found elsewhere within a reach (m); nowhere, if the fit is not on it either."""
-        problem, here = now.problem, now.fit.pose
-        pose = None if memory.waiting else self._searched(memory, problem, here)
-        if pose is not None and np.linalg.norm(pose.root[:3, 3] - here.root[:3, 3]) < reach:
+    def _elsewhere(self, memory: LostMemory, now: Judged, ratio: float) -> tuple[Revision | None, LostMemory]:
+        """The body found elsewhere; nowhere, if the fit is not on it either."""
+        problem = now.problem
+        pose = None if memory.waiting else self._searched(memory, problem, now.fit.pose)
+        if pose is not None:
             memory = replace(self._found(memory), waiting=0, doubt=Doubt())  # this frame is over for `due`
-            return self._at(problem, problem.afresh(pose, self.body.margin)), memory
+            return self._at(problem, problem.afresh(pose, self.whole.margin)), memory
         nowhere = ratio < self.none
         memory = replace(memory, waiting=(memory.waiting or self.again) - 1, nowhere=nowhere)
         return (Revision(None, problem.past.moments[-1]) if nowhere else None), memory
@@ -274,7 +267,7 @@ class LostBody(Checked):
         """The body near where it is fitted, where that is in doubt and the pictures show it better."""
         due, doubt = self.doubt.due(memory.doubt, memory.signs, memory.lately, float(memory.found[-1]))
         memory, problem, here = replace(memory, doubt=doubt), now.problem, now.fit.pose
-        if not due or memory.known.in_sight(now.check) < self.body.seen:  # what little is seen may look better anywhere
+        if not due or memory.known.in_sight(now.check) < self.in_sight:  # what little is seen may look better anywhere
             return None, memory
         pose = self._searched(memory, problem, here, self.doubt.gain)
         if pose is not None and np.linalg.norm(pose.root[:3, 3] - here.root[:3, 3]) < self.doubt.near:
@@ -289,7 +282,7 @@ class LostBody(Checked):
         before = problem.past.moments[-1]
         last = jumped(before, fit.pose.minus(problem.start), fit.pose)
         moved = np.linalg.norm((fit.pose.root - last.pose.root)[:3, 3])
-        if moved > self.body.speed * (problem.frame.time - before.time):
+        if moved > self.whole.speed * (problem.frame.time - before.time):
             last = replace(last, pose=fit.pose)
         return Revision(fit, last, jumped=True)
 
@@ -307,8 +300,8 @@ class LostBody(Checked):
             if not evidence.views:
                 return None
             evidence = evidence.no_nearer((memory.surely or last_seen(problem.past)).pose)
-            more = (self.body.better if better is None else better) * float(memory.known.nats.sum())
-            least = -np.inf if here is None else evidence.of(here) + more
+            more = (self.whole.better if better is None else better) * float(memory.known.nats.sum())
+            least = None if here is None else evidence.of(here) + more
             proposed = () if self.proposals is None else self.proposals(problem)
-            search = BodySearch(self.body, self.limb, memory.known, problem, evidence, memory.surely, proposed)
+            search = BodySearch(self.whole, self.limb, memory.known, problem, evidence, memory.surely, proposed)
             return search.found(least)
