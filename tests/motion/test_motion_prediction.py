@@ -179,13 +179,21 @@ def test_bad_input_is_refused() -> None:
 def test_leverage_is_the_way_of_the_surface_by_a_small_turn() -> None:
     body, step = humanoid(), 1e-6
     q = np.random.default_rng(0).uniform(-0.3, 0.3, len(body.coordinate_names))
-    found, still = leverage(body, q), Posed(body, Pose(np.eye(4), q)).vertices
+    found, still = leverage(body, q[None]), Posed(body, Pose(np.eye(4), q)).vertices
     for name in ("hip_flexion_r", "knee_angle_l", "pro_sup_r"):
         k = body.coordinate(name)
         moved = Posed(body, Pose(np.eye(4), q + step * (np.arange(len(q)) == k))).vertices
         ways = np.linalg.norm(moved - still, axis=1) / step
         assert found[k] == pytest.approx(np.sqrt(np.mean(ways**2)), rel=1e-4)
     assert found[body.coordinate("pro_sup_r")] < 0.1 * found[body.coordinate("hip_flexion_r")]
+    both = np.square([found, leverage(body, -q[None])]).mean(axis=0)
+    np.testing.assert_allclose(np.square(leverage(body, np.array([q, -q]))), both)
+
+
+def test_motion_of_another_kind_in_the_library_does_not_change_how_angles_are_weighed() -> None:
+    run, other = walking(1.0, 1.2), walking(0.7, 0.2)
+    alone, mixed = (FollowedMotion(library(*clips), BODY) for clips in ((run,), (run, other)))
+    np.testing.assert_array_equal(alone._weights, mixed._weights)
 
 
 def test_angles_that_images_hardly_tell_do_not_mislead_a_match() -> None:

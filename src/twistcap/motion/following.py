@@ -29,6 +29,7 @@ _WORSE = 2.5  # factor by which the mean distance of a longer history may be lar
 _FITTED = 60  # frames of history to which a match is fitted
 _SHARPNESS = 4.0  # how fast a match's weight falls with its distance, in units of the best one's
 _STIFFNESS = 0.3  # rad², summed square deviation below which a joint's range is not adapted
+_POSES = 64  # over which leverage is averaged
 _TRUST = 30.0  # frames of history that give an adaptation half its weight, for an angle of large leverage
 
 OWN = -1
@@ -109,9 +110,7 @@ class FollowedMotion(OpenLoop):
         super().__init__(library, body)
         self.rule = rule or FollowRule()
         self.history = max(_FITTED, LOOK_BACK, *self.rule.poses)
-        q = np.zeros(len(body.coordinate_names))
-        q[self._theirs] = library.q[:, self.compared].mean(axis=0)
-        by_joint = leverage(body, q)[self._theirs]
+        by_joint = leverage(body, _any_poses(body))[self._theirs]
         self._weights = by_joint / np.hypot(by_joint, self.rule.lever)  # of a deviation of each compared coordinate
         ahead = float(min(self.rule.poses))
         self._matcher = Matcher(library, self.compared, self._weights**2, self.rule.scales, ahead)
@@ -163,16 +162,23 @@ class FollowedMotion(OpenLoop):
         return out
 
 
-def leverage(body: Body, q: Float) -> Float:
-    """(J,) root mean square motion of the body's vertices by each coordinate at q (J,), m/rad; the pelvis is fixed.
+def leverage(body: Body, poses: Float) -> Float:
+    """(J,) root mean square motion of the body's vertices by each coordinate in poses (N, J), m/rad; the pelvis is
+    fixed.
 
     It weighs angles when poses are compared: images determine a hip, which moves the whole leg, to a degree, and the
     forearm's rotation to ten or twenty. Kovar, Gleicher and Pighin, "Motion Graphs" (DOI 10.1145/566654.566605),
     section 3, likewise compare poses by points of the body. The vertices should lie about evenly on the surface.
     """
-    posed = Posed(body, Pose(np.eye(4), q))
-    by_step = posed.point_jacobian(body.skin_segments, body.skin_weights, body.vertices)
-    return np.sqrt(np.square(by_step[:, :, 6:]).sum(axis=1).mean(axis=0))
+    surface = body.skin_segments, body.skin_weights, body.vertices
+    by_step = (Posed(body, Pose(np.eye(4), q)).point_jacobian(*surface)[:, :, 6:] for q in poses)
+    return np.sqrt(np.mean([np.square(each).sum(axis=1).mean(axis=0) for each in by_step], axis=0))
+
+
+def _any_poses(body: Body) -> Float:
+    """(N, J) poses from all over the joints' limits: what a library holds must not change how it is matched."""
+    low, high = np.clip(body.limits, -np.pi, np.pi).T
+    return np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
 
 
 @dataclass(frozen=True)
