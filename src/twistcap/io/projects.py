@@ -74,48 +74,63 @@ def draft_project(project: Project, folder: Path, unit: str | None = None, up: U
     """
     if not project.videos:
         raise InputError(f"the {project.program} project at {project.calibration} has no videos where they should be.")
+    rig, given, notes = _calibrated(project, unit)
+    axis = _axis_up(project, rig, up)
+    if axis != "z":
+        notes.append(f"Up is {axis} in its calibration, {'as said' if up else 'by the images'}: it is turned to z.")
+    file, converted, floor, remark = _calibration_file(project, folder, rig, axis)
+    titles = {name or Path(path).stem: path for name, path in project.videos}
+    cameras = _paired(project, list(titles), rig.names)
+    draft = drafted(rig, {cameras[title]: path for title, path in titles.items()}, file, given)
+    notes += [*remark, *_by_order("videos", list(titles), rig.names)]
+    left = axis if converted is None else "z"  # for the session to turn
+    draft = replace(draft, up=left if up or left != "z" else None, floor_known=floor, converted=converted)
+    poses = _keypoints(project, draft.rig.names)
+    layout, why = _layout_of(project, poses, with_z_up(draft.rig, axis))
+    notes += _on_keypoints(project, layout, why, rig)
+    return replace(draft, keypoints=poses if layout else {}, layout=layout, notes=tuple(notes))
+
+
+def _calibrated(project: Project, unit: str | None) -> tuple[Rig, Unit | None, list[str]]:
+    """The cameras as calibrated, the unit that a session must be given, and notes on both."""
     unit = unit or ("mm" if project.program == "FreeMoCap" else None)
-    size = open_source(project.videos[0][1]).size
-    asked = Asked(None if unit is None else unit_of(unit), size)
+    asked = Asked(None if unit is None else unit_of(unit), open_source(project.videos[0][1]).size)
     given: Unit | None = None
     if project.format == "toml":
         given, _ = toml_unit(project.calibration, session_unit(unit), "its path")
-    rig, told = format_named(project.format).read(project.calibration, asked)
-    found = up or (up_instead_of_z(rig) or "z" if project.format == "toml" else axis_up(rig))
+    rig, note = format_named(project.format).read(project.calibration, asked)
+    notes = [f"Project of {project.program}; its calibration is {project.calibration}.", *project.notes]
+    return rig, given, [*notes, note] if note else notes
+
+
+def _axis_up(project: Project, rig: Rig, said: Up | None) -> Up:
+    """The axis of its calibration that is up: as said, or as cameras tell."""
+    found = said or (up_instead_of_z(rig) or "z" if project.format == "toml" else axis_up(rig))
     if found is None:
         raise InputError(f"calibration {project.calibration}: the images do not say what is up; say it with --up.")
-    notes = [f"Project of {project.program}; its calibration is {project.calibration}.", *project.notes]
-    notes += [told] if told else []
-    if found != "z":
-        notes.append(f"Up is {found} in its calibration, {'as said' if up else 'by the images'}: it is turned to z.")
-    titles = {name or Path(path).stem: path for name, path in project.videos}
-    cameras = _paired(project, list(titles), rig.names)
-    file: Path = project.calibration
+    return found
+
+
+def _calibration_file(project: Project, folder: Path, rig: Rig, up: Up) -> tuple[Path, str | None, bool, list[str]]:
+    """The file that a session reads, its text where it is to be written, whether z = 0 is the floor, and a note."""
     floor = project.floor_known
-    text: str | None = None
-    if project.format == "toml":
-        if floor and not knows_floor(file):
-            floor = False
-            notes.append("The calibration does not know the floor: floor = false is set.")
-    else:
+    if project.format != "toml":
         file = folder / "Calib.toml"
-        text = rig_text(with_z_up(rig, found), floor=floor)
-        notes.append(f"Its calibration was converted: {file}.")
-    draft = drafted(rig, {cameras[title]: path for title, path in titles.items()}, file, given)
-    poses = _keypoints(project, draft.rig.names)
-    notes += _by_order("videos", list(titles), rig.names)
-    layout, why = _layout_of(project, poses, with_z_up(draft.rig, found))
+        return file, rig_text(with_z_up(rig, up), floor=floor), floor, [f"Its calibration was converted: {file}."]
+    if floor and not knows_floor(project.calibration):
+        return project.calibration, None, False, ["The calibration does not know the floor: floor = false is set."]
+    return project.calibration, None, floor, []
+
+
+def _on_keypoints(project: Project, layout: str | None, why: str, rig: Rig) -> list[str]:
+    """Notes on keypoints of a format, or on why they are not read."""
     if layout:
-        notes += _by_order("keypoints", list(project.keypoints), draft.rig.names)
-        notes += [why] if why else []
-        notes.append(f"Its keypoints ({layout}) give the first pose.")
-    elif project.keypoints:
-        folders = ", ".join(project.keypoints)
-        notes.append(f"Its keypoints ({folders}) are not read: {why}. If you know, fill [first_pose.keypoints].")
-    turned = found if project.format == "toml" else "z"
-    said = turned if up or turned != "z" else None
-    draft = replace(draft, up=said, floor_known=floor, notes=tuple(notes), converted=text)
-    return replace(draft, keypoints=poses if layout else {}, layout=layout)
+        order = _by_order("keypoints", list(project.keypoints), rig.names)
+        return [*order, *([why] if why else []), f"Its keypoints ({layout}) give the first pose."]
+    if not project.keypoints:
+        return []
+    folders = ", ".join(project.keypoints)
+    return [f"Its keypoints ({folders}) are not read: {why}. If you know, fill [first_pose.keypoints]."]
 
 
 def _paired(project: Project, names: Sequence[str], cameras: Sequence[str]) -> dict[str, str]:
