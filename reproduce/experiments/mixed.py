@@ -91,8 +91,7 @@ class SameMatches:
 def same(a: Match, b: Match) -> bool:
     """Whether two matches are one sample at one speed: to half a sample, and half a step of the paper's scales.
 
-    The paper's matches are samples. A followed one lies between them, and where exactly hangs a little on the library:
-    angles are weighed by their leverage at its mean pose.
+    The paper's matches are samples. A followed one lies between them.
     """
     return a.clip == b.clip and abs(a.position - b.position) < 0.5 and abs(a.scale - b.scale) < 0.05
 

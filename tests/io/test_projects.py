@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -267,6 +268,21 @@ def test_keypoints_that_are_not_read_are_told(tmp_path: Path, capsys: pytest.Cap
         path.write_text(json.dumps({"people": [{"pose_keypoints_2d": [1.0] * 57}]}))
     session, told = made(capsys, tmp_path / "t", "--project", tmp_path)
     assert "are not read: their points fit no format that is known." in " ".join(told["found"])
+
+
+def test_keypoints_are_paired_with_the_cameras_that_have_a_video(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "calibration").mkdir()
+    write_rig(RIG, tmp_path / "calibration" / "Calib.toml")
+    for name in RIG.names[:-1]:
+        video(tmp_path / "videos" / f"{name}.mp4")
+    *folders, last = [f"{letter}_json" for letter in "abcdefgh"[: len(RIG)]]
+    poses(tmp_path / "pose", "halpe_26", [*folders, last])
+    shutil.rmtree(tmp_path / "pose" / last)
+    _, told = made(capsys, tmp_path / "s", "--project", tmp_path)
+    pairs = ", ".join(f"{folder[0]} = {name}" for folder, name in zip(folders, RIG.names[:-1], strict=True))
+    assert f"so they are paired by their order: {pairs}. Check it." in " ".join(told["found"])
 
 
 def test_freemocap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -184,7 +184,7 @@ def test_leverage_is_the_way_of_the_surface_by_a_small_turn() -> None:
         k = body.coordinate(name)
         moved = Posed(body, Pose(np.eye(4), q + step * (np.arange(len(q)) == k))).vertices
         ways = np.linalg.norm(moved - still, axis=1) / step
-        assert found[k] == pytest.approx(np.sqrt(np.mean(ways**2)), rel=1e-4)
+        assert found[k] == pytest.approx(np.sqrt(np.mean(ways**2)), rel=0.05)  # of some of its points
     assert found[body.coordinate("pro_sup_r")] < 0.1 * found[body.coordinate("hip_flexion_r")]
     both = np.square([found, leverage(body, -q[None])]).mean(axis=0)
     np.testing.assert_allclose(np.square(leverage(body, np.array([q, -q]))), both)

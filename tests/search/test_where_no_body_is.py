@@ -234,3 +234,21 @@ def test_pictures_that_stay_the_same_tell_nothing_for_as_long_as_they_do() -> No
     statuses = [tracker.state for _, tracker in tracked_walk(lambda frame: replace(frame, images=frozen))]
     assert not any(state.past.moments[-1].seen for state in [statuses[k] for k in FAULT][1:])
     assert statuses[-1].past.moments[-1].seen
+
+
+def test_draws_about_a_pose_beyond_its_limits_have_the_evidence_of_what_is_drawn() -> None:
+    """Limits are soft for a fit, and hard for a draw. Each turn has draws of its own."""
+    scene, frames = walk()
+    *_, (_, tracker) = islice(tracked_walk(lambda frame: frame), 12)
+    truth, none = scene.true_poses[12], np.zeros((scene.body.dof,) * 2)
+    problem = posed_problem(tracker.state, frames[12], tracker.model, Prediction(truth, "hold", none, none))
+    placing = Placing(tracker.state.searches["lost body"].known.evidence(problem), PlacingRule(near=(0.4,)))
+    q, knee = truth.q.copy(), scene.body.coordinate("knee_angle_r")
+    q[knee] = scene.body.limits[knee, 1] + 0.1
+    q[scene.body.coordinate("arm_flex_l")] += 0.8
+    start = placing.hypothesis(Pose(truth.root, q))
+    found = [placing.refined(start, turn) for turn in (0, 1)]
+    assert found[0].pose.q.tolist() != found[1].pose.q.tolist()
+    for each in found:
+        assert each.nats > start.nats
+        assert each.nats == pytest.approx(placing.evidence.of(each.pose), abs=1e-3)

@@ -78,16 +78,16 @@ def draft_project(project: Project, folder: Path, unit: str | None = None, up: U
     axis = _axis_up(project, rig, up)
     if axis != "z":
         notes.append(f"Up is {axis} in its calibration, {'as said' if up else 'by the images'}: it is turned to z.")
-    file, converted, floor, remark = _calibration_file(project, folder, rig, axis)
+    file, converted, floor, remarks = _calibration_file(project, folder, rig, axis)
     titles = {name or Path(path).stem: path for name, path in project.videos}
     cameras = _paired(project, list(titles), rig.names)
     draft = drafted(rig, {cameras[title]: path for title, path in titles.items()}, file, given)
-    notes += [*remark, *_by_order("videos", list(titles), rig.names)]
+    notes += [*remarks, *_by_order("videos", list(titles), rig.names)]
     left = axis if converted is None else "z"  # for the session to turn
     draft = replace(draft, up=left if up or left != "z" else None, floor_known=floor, converted=converted)
     poses = _keypoints(project, draft.rig.names)
     layout, why = _layout_of(project, poses, with_z_up(draft.rig, axis))
-    notes += _on_keypoints(project, layout, why, rig)
+    notes += _on_keypoints(project, layout, why, draft.rig)
     return replace(draft, keypoints=poses if layout else {}, layout=layout, notes=tuple(notes))
 
 
@@ -104,7 +104,7 @@ def _calibrated(project: Project, unit: str | None) -> tuple[Rig, Unit | None, l
 
 
 def _axis_up(project: Project, rig: Rig, said: Up | None) -> Up:
-    """The axis of its calibration that is up: as said, or as cameras tell."""
+    """The axis of its calibration that is up: as said, else as its cameras tell; of TOML z, where they are not sure."""
     found = said or (up_instead_of_z(rig) or "z" if project.format == "toml" else axis_up(rig))
     if found is None:
         raise InputError(f"calibration {project.calibration}: the images do not say what is up; say it with --up.")
@@ -112,7 +112,7 @@ def _axis_up(project: Project, rig: Rig, said: Up | None) -> Up:
 
 
 def _calibration_file(project: Project, folder: Path, rig: Rig, up: Up) -> tuple[Path, str | None, bool, list[str]]:
-    """The file that a session reads, its text where it is to be written, whether z = 0 is the floor, and a note."""
+    """The file that a session reads, its text where it is to be written, whether z = 0 is the floor, and notes."""
     floor = project.floor_known
     if project.format != "toml":
         file = folder / "Calib.toml"

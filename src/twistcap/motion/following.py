@@ -17,6 +17,7 @@ from numba import njit
 from twistcap import se3
 from twistcap.arrays import Float, Int
 from twistcap.body import Body, Pose, Posed
+from twistcap.body.model import partners
 from twistcap.errors import InputError
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 from twistcap.motion.matching import Interval, Match, Matcher
@@ -29,7 +30,7 @@ _WORSE = 2.5  # factor by which the mean distance of a longer history may be lar
 _FITTED = 60  # frames of history to which a match is fitted
 _SHARPNESS = 4.0  # how fast a match's weight falls with its distance, in units of the best one's
 _STIFFNESS = 0.3  # rad², summed square deviation below which a joint's range is not adapted
-_POSES = 64  # over which leverage is averaged
+_POSES, _POINTS = 64, 300  # over which leverage is averaged: poses, and points of the surface
 _TRUST = 30.0  # frames of history that give an adaptation half its weight, for an angle of large leverage
 
 OWN = -1
@@ -110,7 +111,7 @@ class FollowedMotion(OpenLoop):
         super().__init__(library, body)
         self.rule = rule or FollowRule()
         self.history = max(_FITTED, LOOK_BACK, *self.rule.poses)
-        by_joint = leverage(body, _any_poses(body))[self._theirs]
+        by_joint = _usual_leverage(body)[self._theirs]
         self._weights = by_joint / np.hypot(by_joint, self.rule.lever)  # of a deviation of each compared coordinate
         ahead = float(min(self.rule.poses))
         self._matcher = Matcher(library, self.compared, self._weights**2, self.rule.scales, ahead)
@@ -170,15 +171,19 @@ def leverage(body: Body, poses: Float) -> Float:
     forearm's rotation to ten or twenty. Kovar, Gleicher and Pighin, "Motion Graphs" (DOI 10.1145/566654.566605),
     section 3, likewise compare poses by points of the body. The vertices should lie about evenly on the surface.
     """
-    surface = body.skin_segments, body.skin_weights, body.vertices
+    every = max(1, len(body.vertices) // _POINTS)
+    surface = [of_vertices[::every] for of_vertices in (body.skin_segments, body.skin_weights, body.vertices)]
     by_step = (Posed(body, Pose(np.eye(4), q)).point_jacobian(*surface)[:, :, 6:] for q in poses)
     return np.sqrt(np.mean([np.square(each).sum(axis=1).mean(axis=0) for each in by_step], axis=0))
 
 
-def _any_poses(body: Body) -> Float:
-    """(N, J) poses from all over the joints' limits: what a library holds must not change how it is matched."""
+def _usual_leverage(body: Body) -> Float:
+    """(J,) leverage over poses from all over the joints' limits, the same for both sides of the body. Over those of a
+    library it would change how one motion is matched, when another one is added.
+    """
     low, high = np.clip(body.limits, -np.pi, np.pi).T
-    return np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
+    squares = np.square(leverage(body, np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))))
+    return np.sqrt(0.5 * (squares + squares[partners(body.coordinate_names)]))
 
 
 @dataclass(frozen=True)

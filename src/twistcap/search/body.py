@@ -100,7 +100,9 @@ class BodySearch:
         starts = [first, *self._beside(first, fitted)] if least is not None else [first]
         best = max(map(self._settled, starts), key=self._rank)
         for pose in exchanged(self.problem.body, best.pose):
-            other = self._fitted(self._fitted(self._placing.hypothesis(pose)))  # limbs may still be far off
+            other = self._fitted(put := self._placing.hypothesis(pose))
+            if other is not put:  # what is up to 0.2 m off takes two fits
+                other = self._fitted(other)
             if other.nats > best.nats - self.rule.close * self._usual:
                 best = max(best, self._settled(other), key=self._rank)
         return best.pose if self._ratio(best) >= self.rule.accepted and (least is None or best.nats >= least) else None
@@ -166,7 +168,7 @@ class BodySearch:
             before = h.nats
             h = self._better(h, self._placing.refined(h, k))
             if k < self.rule.rounds - 1:
-                h = self._better(h, self._with_limbs_placed(h, k))
+                h = self._better(h, self._with_limbs_placed(h, k + 1))
             if h.nats <= before + self.rule.little * self._usual:
                 break
         return h

@@ -50,7 +50,8 @@ class LostBody(Checked):
             changed.
         lately: fraction that the mean of the signs of loss keeps from frame to frame.
         doubted, wary: fractions that the doubt in what was found, and in what jumped, keeps from frame to frame.
-        in_sight: fraction of the pixels that the body usually covers, below which it is not without doubt where it is.
+        in_sight: fraction of the pixels that the body usually covers, below which it is hardly in sight. Then it is not
+            without doubt where it is, not looked for again, and tells nothing of a switched light.
         whole, limb: how the whole body is looked for, and a single limb.
         proposals: more poses to judge, as those of keypoints.
     """

@@ -196,7 +196,8 @@ class Placing:
         rng = np.random.default_rng((self.rule.seed, turn))
         for near in self.rule.near:
             for branch in branches(self.body):
-                of = self.evidence.of if branch[0] else RedrawnLimb.at(self.evidence, h.pose, branch).of
+                start = h.pose.within(self.body.limits)
+                of = self.evidence.of if branch[0] else RedrawnLimb.at(self.evidence, start, branch).of
                 for _ in range(self.rule.draws):
                     pose = h.pose.retract(self._step(rng, branch, near, h.pose)).within(self.body.limits)
                     value = of(pose)

@@ -1,4 +1,4 @@
-"""Evidence of poses that differ in one limb: only what the limb moves is drawn again."""
+"""Evidence of poses that differ in one limb or branch of the body: only what that moves is drawn again."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ class _Still:
 
 @dataclass(frozen=True)
 class RedrawnLimb:
-    """A body at a pose, of which one limb moves. `of` equals `Evidence.of` for all poses that differ in that alone.
+    """A body at a pose, of which one limb or branch moves. For all poses that differ in that alone `of` equals
+    `Evidence.of`.
 
     Attributes:
         faces, face_part: (F, 3) triangles that move, of the vertices that do, and the segment (F,) of each.
@@ -51,7 +52,7 @@ class RedrawnLimb:
 
     @staticmethod
     def at(evidence: Evidence, pose: Pose, limb: Bool) -> RedrawnLimb:
-        """For a limb's coordinates (6 + J,), with the rest of the body at a pose."""
+        """For the coordinates (6 + J,) of a limb or branch, with the rest of the body at a pose."""
         body, posed = evidence.body, Posed(evidence.body, pose)
         moved: Bool = np.any((body.skin_weights > 0.0) & limb_parts(body, limb)[body.skin_segments], axis=1)
         moving: Bool = np.any(moved[body.faces], axis=1)
