@@ -280,7 +280,7 @@ def test_keypoints_are_paired_with_the_cameras_that_have_a_video(
     *folders, last = [f"{letter}_json" for letter in "abcdefgh"[: len(RIG)]]
     poses(tmp_path / "pose", "halpe_26", [*folders, last])
     shutil.rmtree(tmp_path / "pose" / last)
-    _, told = made(capsys, tmp_path / "s", "--project", tmp_path)
+    told = document(capsys, "new", tmp_path / "s", "--project", tmp_path)
     pairs = ", ".join(f"{folder[0]} = {name}" for folder, name in zip(folders, RIG.names[:-1], strict=True))
     assert f"so they are paired by their order: {pairs}. Check it." in " ".join(told["found"])
 
