@@ -168,7 +168,7 @@ class BodySearch:
             before = h.nats
             h = self._better(h, self._placing.refined(h, k))
             if k < self.rule.rounds - 1:
-                h = self._better(h, self._with_limbs_placed(h, k + 1))
+                h = self._better(h, self._with_limbs_placed(h, k))
             if h.nats <= before + self.rule.little * self._usual:
                 break
         return h
