@@ -164,7 +164,7 @@ class FollowedMotion(OpenLoop):
 
 
 def leverage(body: Body, poses: Float) -> Float:
-    """(J,) root mean square motion of the body's vertices by each coordinate in poses (N, J), m/rad; the pelvis is
+    """(J,) root mean square motion of some of the vertices by each coordinate in poses (N, J), m/rad; the pelvis is
     fixed.
 
     It weighs angles when poses are compared: images determine a hip, which moves the whole leg, to a degree, and the
