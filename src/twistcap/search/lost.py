@@ -254,7 +254,7 @@ class LostBody(Checked):
         problem = now.problem
         pose = None if memory.waiting else self._searched(memory, problem, now.fit.pose)
         if pose is not None:
-            memory = replace(self._found(memory), waiting=0, doubt=Doubt())  # this frame is over for `due`
+            memory = replace(self._found(memory), waiting=0, doubt=Doubt())  # `due` is first asked in the next frame
             return self._at(problem, problem.afresh(pose, self.whole.margin)), memory
         nowhere = ratio < self.none
         memory = replace(memory, waiting=(memory.waiting or self.again) - 1, nowhere=nowhere)
