@@ -33,7 +33,7 @@ from twistcap.motion import (
     table_for,
 )
 from twistcap.motion.branches import square_joints, within_limits
-from twistcap.motion.retargeting import direction_sums, leg_length
+from twistcap.motion.retargeting import DirectionTerm, leg_length
 from twistcap.motion.table import calibrated, shipped_tables
 
 LIMBS = (("femur", "tibia"), ("tibia", "foot"), ("humerus", "ulna"), ("ulna", "radius"))
@@ -242,22 +242,20 @@ def test_a_result_gives_its_longest_stretch(tmp_path: Path, body: Body) -> None:
     np.testing.assert_array_equal(read.roots, clip.roots[4:9])
 
 
-def test_direction_sums_against_differences(body: Body) -> None:
+def test_directions_against_differences(body: Body) -> None:
     rng = np.random.default_rng(1)
-    pose = moving(body, 2).poses()[0]
-    segments = np.array([1, 4, 7, 9])
-    want = se3.exp_rotation(rng.normal(size=(4, 3)))
-    squares = rng.uniform(0.1, 1.0, size=(4, 3))
+    pose, segments = moving(body, 2).poses()[0], np.array([1, 4, 7, 9], np.int32)
+    term = DirectionTerm(segments, se3.exp_rotation(rng.normal(size=(4, 3))), rng.uniform(0.1, 1.0, size=(4, 3)))
+    still, found = np.zeros(body.dof), term.linearize(Posed(body, pose))
 
-    def sums(q: Float) -> tuple[Float, Float, Float, Float, Float]:
-        posed = Posed(body, Pose(pose.root, q))
-        moves = body.chain[segments]
-        return posed.segment_transforms[segments, :3, :3], want, squares, moves, posed.world_twists
+    def axes(step: Float) -> Float:
+        have = Posed(body, pose.retract(step)).segment_transforms[segments, :3, :3]
+        return (np.sqrt(term.squares)[:, None] * have).ravel()
 
-    _, gradient, curvature = direction_sums(*sums(pose.q))
-    check_jacobian(lambda q: np.array(direction_sums(*sums(q))[0]), gradient, pose.q)
-    by_angles = numeric_jacobian(lambda q: (np.sqrt(squares)[:, None] * sums(q)[0]).ravel(), pose.q)
-    np.testing.assert_allclose(curvature, by_angles.T @ by_angles, atol=1e-7)
+    check_jacobian(lambda step: np.array(term.energy(Posed(body, pose.retract(step)))), found.gradient, still)
+    by_step = numeric_jacobian(axes, still)
+    np.testing.assert_allclose(found.hessian, by_step.T @ by_step, atol=1e-7)
+    assert found.value == term.energy(Posed(body, pose))
 
 
 def test_angles_that_wind_around_the_pole_cross_it(body: Body) -> None:

@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 from support.faulty_walk import tracked_walk, walk
+from support.finite_differences import check_jacobian, numeric_jacobian
+from twistcap.arrays import Float
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.model import partners
 from twistcap.predict import Prediction
 from twistcap.search import body as whole_body
 from twistcap.search.body import BodyRule, BodySearch
-from twistcap.search.exchange import exchanged
+from twistcap.search.exchange import MiddlesTerm, exchanged
 from twistcap.search.limb import LimbRule
 from twistcap.search.placing import PlacingRule
 from twistcap.track.step import posed_problem
@@ -46,6 +48,21 @@ def test_a_body_without_sides_has_nothing_to_exchange() -> None:
         for kind in ("coordinate", "segment")
     }
     assert exchanged(replace(body, **names), Pose.rest(body)) == []
+
+
+def test_middles_against_differences() -> None:
+    body, rng, segments = humanoid(), np.random.default_rng(2), np.array([2, 5, 9], np.int32)
+    pose = Pose(np.eye(4), rng.normal(scale=0.4, size=len(body.coordinate_names)))
+    term = MiddlesTerm(segments, Posed(body, pose).segment_middles[segments] + rng.normal(size=(3, 3)), 0.05)
+    still, found = np.zeros(body.dof), term.linearize(Posed(body, pose))
+
+    def middles(step: Float) -> Float:
+        return Posed(body, pose.retract(step)).segment_middles[segments].ravel() / term.sigma
+
+    check_jacobian(lambda step: np.array(term.energy(Posed(body, pose.retract(step)))), found.gradient, still)
+    by_step = numeric_jacobian(middles, still)
+    np.testing.assert_allclose(found.hessian, by_step.T @ by_step, atol=1e-5)
+    assert found.value == term.energy(Posed(body, pose))
 
 
 @pytest.mark.parametrize("exchanging", [True, False])

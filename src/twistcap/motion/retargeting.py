@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twistcap import se3
-from twistcap.arrays import Bool, Float, Int
+from twistcap.arrays import Float, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.shape import joint_origin
 from twistcap.errors import InputError, check
@@ -20,6 +20,8 @@ from twistcap.motion.branches import within_limits
 from twistcap.motion.clip import MotionClip
 from twistcap.motion.skeleton import SkeletonMotion
 from twistcap.motion.table import Calibration, SkeletonTable, calibrated, table_for
+from twistcap.solve import PoseProblem, minimise
+from twistcap.terms import LimitTerm, Quadratic, RestTerm, Term
 
 # Weights of the directions of a segment's forward, left and up axes. The long axis has most; a foot's is the first.
 # Feet and hands have little: their joints cannot follow every turn, and limbs must not bend for them.
@@ -28,7 +30,7 @@ _USUAL = (0.5, 0.5, 1.0)
 _REST = 1e-4  # weight of a rad against a rad of direction, for angles that no target determines
 _LIMITS = 0.15  # weight of a rad beyond a limit against a rad of direction
 _SWEEPS, _NEAR = 40, 0.02  # and the rad by which the last of them may still turn a joint
-_STEPS, _TOLERANCE = 30, 1e-6
+_STEPS = 30
 
 
 @dataclass(frozen=True)
@@ -114,10 +116,10 @@ def _fitted_angles(body: Body, roots: Float, targets: Targets, rate: float) -> F
     out = np.zeros((len(roots), len(body.coordinate_names)))
     q = _swept(body, Pose(roots[0], out[0]), targets)
     for n, root in enumerate(roots):
-        q = out[n] = _refined(body, Pose(root, q), targets, n, limits=0.0)
+        q = out[n] = _refined(body, Pose(root, q), targets, n)
     out, bridged = within_limits(body, out, rate)
     for n in np.flatnonzero(~bridged):
-        out[n] = _refined(body, Pose(roots[n], out[n]), targets, int(n), _LIMITS)
+        out[n] = _refined(body, Pose(roots[n], out[n]), targets, int(n), LimitTerm(1.0 / _LIMITS))
     return out
 
 
@@ -141,50 +143,41 @@ def _swept(body: Body, pose: Pose, targets: Targets) -> Float:
     return q - 2 * np.pi * np.round((q - body.limits.mean(axis=1)) / (2 * np.pi))
 
 
-def _refined(body: Body, pose: Pose, targets: Targets, n: int, limits: float) -> Float:
-    """Levenberg-Marquardt on the differences of directions, with weak terms towards zero and the limits."""
-    q, damping = pose.q, 1e-6
-    value, gradient, curvature = _equations(body, pose, targets, n, limits)
-    for _ in range(_STEPS):
-        step = -np.linalg.solve(curvature + damping * np.eye(len(q)), gradient)
-        tried = _equations(body, Pose(pose.root, q + step), targets, n, limits)
-        if tried[0] > value:
-            damping = 10.0 * damping
-        else:
-            q, (value, gradient, curvature), damping = q + step, tried, 0.1 * damping
-        if np.abs(step).max() < _TOLERANCE or damping > 1e6:
-            break
-    return q
+def _refined(body: Body, pose: Pose, targets: Targets, n: int, *limits: Term) -> Float:
+    """The coordinates that fit frame n best, from some on, with weak terms towards zero and the limits."""
+    root_only = np.arange(body.dof) < 6
+    directions = DirectionTerm(targets.segments, targets.rotations[n], targets.weights**2)
+    problem = PoseProblem([directions, RestTerm(1.0 / _REST), *limits], root_only)
+    return minimise(problem, Posed(body, pose), _STEPS, damping=1e-6).x.pose.q
 
 
-def _equations(body: Body, pose: Pose, targets: Targets, n: int, limits: float) -> tuple[float, Float, Float]:
-    """Half the sum of squares, its gradient (J,) and its Gauss-Newton curvature (J, J)."""
-    posed = Posed(body, pose)
-    have = posed.segment_transforms[targets.segments, :3, :3]
-    moves = body.chain[targets.segments]
-    value, gradient, H = direction_sums(have, targets.rotations[n], targets.weights**2, moves, posed.world_twists)
-    beyond = pose.q - np.clip(pose.q, body.limits[:, 0], body.limits[:, 1])
-    value += 0.5 * float(limits**2 * beyond @ beyond + _REST**2 * pose.q @ pose.q)
-    gradient += limits**2 * beyond + _REST**2 * pose.q
-    return value, gradient, H + np.diag(limits**2 * (beyond != 0) + _REST**2)
+@dataclass(frozen=True)
+class DirectionTerm:
+    """``½ Σ w² |h − t|²`` of the axes h of M segments about their targets t: the columns of `rotations` (M, 3, 3).
 
-
-def direction_sums(have: Float, want: Float, squares: Float, moves: Bool, twists: Float) -> tuple[float, Float, Float]:
-    """Normal equations of ``½ Σ w² |h − t|²`` over the axes of M segments: value, gradient (J,) and curvature (J, J).
-
-    For the direction h of an axis, its target t and a coordinate that turns about ω, the derivative of h is ω × h: the
-    gradient of ``½ w² |h − t|²`` is ``w² ω·(t × h)``, and the curvature of two coordinates ``w² ω·(I − h hᵀ) ω'``. The
-    columns of `have` and `want` (M, 3, 3) are axes, `squares` (M, 3) their w², `moves` (M, J) says whether a coordinate
-    moves a segment, twists (J, 6) are those of the world.
+    `squares` (M, 3) are the w². For the axis h and a coordinate that turns about ω, the derivative of h is ω × h: the
+    gradient is ``Σ w² ω·(t × h)``, and the curvature of two coordinates ``Σ w² ω·(I − h hᵀ) ω'``.
     """
-    weighted = squares[:, None, :] * have
-    product = weighted @ want.mT  # Σ w² h tᵀ, whose antisymmetric part is Σ w² t × h
-    by_turn = (product - product.mT)[:, [2, 0, 1], [1, 2, 0]]
-    spread = np.sum(squares, axis=1)[:, None, None] * np.eye(3) - weighted @ have.mT
-    turns = moves[..., None] * twists[:, :3]  # (M, J, 3)
-    gradient = np.einsum("mji,mi->j", turns, by_turn)
-    value = 0.5 * float(np.sum(squares[:, None] * (have - want) ** 2))
-    return value, gradient, np.sum(turns @ spread @ turns.mT, axis=0)
+
+    segments: Int
+    rotations: Float
+    squares: Float
+    name: str = "directions"
+
+    def energy(self, posed: Posed) -> float:
+        have = posed.segment_transforms[self.segments, :3, :3]
+        return 0.5 * float(np.sum(self.squares[:, None] * (have - self.rotations) ** 2))
+
+    def linearize(self, posed: Posed) -> Quadratic:
+        have = posed.segment_transforms[self.segments, :3, :3]
+        weighted = self.squares[:, None, :] * have
+        product = weighted @ self.rotations.mT  # Σ w² h tᵀ, whose antisymmetric part is Σ w² t × h
+        by_turn = (product - product.mT)[:, [2, 0, 1], [1, 2, 0]]
+        spread = np.sum(self.squares, axis=1)[:, None, None] * np.eye(3) - weighted @ have.mT
+        moves = np.hstack([np.ones((len(have), 6)), posed.body.chain[self.segments]])
+        turns = moves[..., None] * np.vstack([np.eye(6, 3), posed.world_twists[:, :3]])  # (M, 6 + J, 3)
+        gradient = np.einsum("mji,mi->j", turns, by_turn)
+        return Quadratic(self.energy(posed), gradient, np.sum(turns @ spread @ turns.mT, axis=0))
 
 
 def grounded(clip: MotionClip, body: Body) -> MotionClip:

@@ -5,14 +5,19 @@ Legs that have been taken for each other cannot be set right one by one: each co
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from twistcap.arrays import Bool
+from twistcap.arrays import Bool, Float, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.limbs import limb_parts, limbs
 from twistcap.body.model import partners
+from twistcap.solve import PoseProblem, minimise
+from twistcap.terms import GaussianTerm, LimitTerm, Quadratic
 
-_STEPS, _DAMPING, _FARTHEST = 12, 0.05, 0.6  # of Gauss–Newton; m; rad in one step
+_STEPS = 12
+_SIGMA = 0.05  # m by which a segment may be beside its place, where joints need not turn by 1 rad for it
 _REACHED = 0.2  # m from its place within which each segment of both limbs must come
 
 
@@ -29,16 +34,34 @@ def _pairs(body: Body) -> list[Bool]:
 
 
 def _exchanged(body: Body, pose: Pose, both: Bool) -> Pose | None:
-    """With a pair of limbs exchanged by damped least squares; None where one of them does not come there."""
-    parts, joints = np.flatnonzero(limb_parts(body, both)).astype(np.int32), np.flatnonzero(both)
-    segments, weights, middles = parts[:, None], np.ones((len(parts), 1)), body.segment_middles[parts]
-    target = Posed(body, pose).segment_middles[np.array(partners(body.segment_names))[parts]]
-    damping = _DAMPING**2 * np.eye(len(joints))
-    for _ in range(_STEPS):
-        posed, step = Posed(body, pose), np.zeros(body.dof)
-        away = (target - posed.points(segments, weights, middles)).ravel()
-        J = posed.point_jacobian(segments, weights, middles).reshape(len(away), -1)[:, joints]
-        step[joints] = np.clip(np.linalg.solve(J.T @ J + damping, J.T @ away), -_FARTHEST, _FARTHEST)
-        pose = pose.retract(step).within(body.limits)
-    gaps = np.linalg.norm(target - Posed(body, pose).points(segments, weights, middles), axis=1)
-    return pose if gaps.max() < _REACHED else None
+    """With a pair of limbs exchanged, as near to where they are as it can be; None where one of them does not come
+    there.
+    """
+    posed, parts = Posed(body, pose), np.flatnonzero(limb_parts(body, both)).astype(np.int32)
+    there = MiddlesTerm(parts, posed.segment_middles[np.array(partners(body.segment_names))[parts]], _SIGMA)
+    near = GaussianTerm(pose, np.eye(body.dof))
+    other = minimise(PoseProblem([there, near, LimitTerm()], fixed=~both), posed, _STEPS).x.pose.within(body.limits)
+    return other if there.away(Posed(body, other)).max() < _REACHED else None
+
+
+@dataclass(frozen=True)
+class MiddlesTerm:
+    """Gaussians of `sigma` m about where the middles (M, 3) of M segments shall be."""
+
+    segments: Int
+    wanted: Float
+    sigma: float
+    name: str = "middles"
+
+    def away(self, posed: Posed) -> Float:
+        """(M,) m from there."""
+        return np.linalg.norm(posed.segment_middles[self.segments] - self.wanted, axis=1)
+
+    def energy(self, posed: Posed) -> float:
+        return 0.5 * float(np.sum(self.away(posed) ** 2)) / self.sigma**2
+
+    def linearize(self, posed: Posed) -> Quadratic:
+        ones, middles = np.ones((len(self.segments), 1)), posed.body.segment_middles[self.segments]
+        J = posed.point_jacobian(self.segments[:, None], ones, middles).reshape(-1, posed.body.dof) / self.sigma
+        residual = (posed.segment_middles[self.segments] - self.wanted).ravel() / self.sigma
+        return Quadratic(self.energy(posed), J.T @ residual, J.T @ J)

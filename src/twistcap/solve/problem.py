@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from twistcap.arrays import Float, Int
+from twistcap.arrays import Bool, Float, Int
 from twistcap.body import Posed
 from twistcap.render import SurfacePoints
 from twistcap.solve.arrow import Arrow
@@ -155,10 +155,11 @@ class BlockProblem:
 @dataclass(frozen=True)
 class PoseProblem:
     """The sum of terms as a problem of the pose alone; `rows` of point terms and `quadratics` of the others, by `id` of
-    the terms, are those where it was linearised last.
+    the terms, are those where it was linearised last. `fixed` (6 + J,) numbers of the step are zero.
     """
 
     terms: Sequence[Term]
+    fixed: Bool | None = None
     rows: dict[int, tuple[SurfacePoints, Rows]] = field(default_factory=dict[int, "tuple[SurfacePoints, Rows]"])
     quadratics: dict[int, Quadratic] = field(default_factory=dict[int, Quadratic])
 
@@ -178,7 +179,8 @@ class PoseProblem:
                 self.quadratics[id(term)] = term.linearize(x)
                 total = total + self.quadratics[id(term)]
         total = total + sums.quadratic()
-        return Dense(total.value, total.gradient, total.hessian)
+        dense = Dense(total.value, total.gradient, total.hessian)
+        return dense if self.fixed is None else dense.holding(self.fixed)
 
     def retract(self, x: Posed, step: Float) -> Posed:
         """The body after a step (6 + J,) of its pose."""

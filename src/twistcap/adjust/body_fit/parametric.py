@@ -16,9 +16,11 @@ from twistcap.body.anny import Parameter
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
+from twistcap.solve import BlockProblem, Variables, Vector, minimise
+from twistcap.terms import BlockGaussian, Slope, Sums
 
 _STEP = 0.02  # of the difference quotients
-_ROUNDS = 8  # of Gauss-Newton, to the lengths of another body
+_STEPS, _GAIN = 8, 1e-9  # of Gauss-Newton, to the lengths of another body
 _BREADTH = 0.06  # standard deviation of log-breadths: the joints of two bodies differ most in these
 _LIMBS = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 _LENGTHS = (*((f"{a}_{s}", f"{b}_{s}") for a, b in _LIMBS for s in "rl"), ("mid_hip", "neck"), ("mid_hip", "head_top"))
@@ -93,15 +95,37 @@ def matched(model: Model, body: Body, length: float = 0.01) -> Parametric:
         raise InputError(f"body {body.name!r} has {lacks}; start with a whole body.")
     parameters = model.parameters
     usual, spread = np.array([p.usual for p in parameters]), np.array([p.spread for p in parameters])
-    values, wanted, sigma = usual, _log_lengths(body), _sigmas(length)
-    for _ in range(_ROUNDS):
-        here = model.bodies(values[None])[0]
-        J = _length_rates(here, rates_at(model, values)[2]) / sigma[:, None]
-        error = (_log_lengths(here) - wanted) / sigma
-        gradient = J.T @ error + (values - usual) / spread**2
-        change = np.asarray(np.linalg.solve(J.T @ J + np.diag(spread**-2.0), gradient), np.float64)
-        values = _within(parameters, values - change)
-    return Parametric(model, values, length)
+    bounds = np.array([(p.low, p.high) for p in parameters])
+    terms = [LengthsTerm(model, _log_lengths(body), _sigmas(length)), BlockGaussian("build", usual, spread)]
+    x = minimise(BlockProblem(terms), Variables({"build": Vector(usual, bounds)}, ("build",)), _STEPS, gain=_GAIN).x
+    return Parametric(model, x["build"].values, length)
+
+
+@dataclass(frozen=True)
+class LengthsTerm:
+    """Gaussians about the logarithms of lengths and breadths (P,), by the parameters (M,) in the block `build`."""
+
+    model: Model
+    wanted: Float
+    sigma: Float
+    name: str = "lengths"
+    blocks: tuple[str, ...] = ("build",)
+
+    def energy(self, x: Variables) -> float:
+        return 0.5 * float(np.sum(self._residual(x) ** 2))
+
+    def add_to(self, sums: Sums, x: Variables) -> None:
+        rates = _length_rates(self._body(x), rates_at(self.model, x["build"].values)[2])
+        slopes = [Slope("build", rates / self.sigma[:, None])]
+        sums.add_rows(self.energy(x), slopes, np.ones(len(self.sigma)), self._residual(x))
+
+    def _residual(self, x: Variables) -> Float:
+        return (_log_lengths(self._body(x)) - self.wanted) / self.sigma
+
+    def _body(self, x: Variables) -> Body:
+        if "body" not in x.memo:
+            x.memo["body"] = self.model.bodies(x["build"].values[None])[0]
+        return x.memo["body"]
 
 
 def carried_pose(given: Body, pose: Pose, body: Body, rig: Rig) -> Pose:
