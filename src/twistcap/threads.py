@@ -1,4 +1,6 @@
-"""Threads for the cameras of a frame: kernels and OpenCV let other threads run. Results do not depend on them."""
+"""Threads for the cameras of a frame, or the poses of a search: kernels and OpenCV let other threads run. Results do
+not depend on them.
+"""
 
 from __future__ import annotations
 
@@ -20,15 +22,17 @@ def ahead(work: Callable[[], object]) -> None:
         _others().submit(work)
 
 
-def each_view(work: Callable[..., T], *arguments: Sequence[Any]) -> list[T]:
-    """What the work gives for each view, in order: this thread begins with the first view, others with the last."""
+def in_parallel(work: Callable[..., T], *arguments: Sequence[Any]) -> list[T]:
+    """What the work gives for each item, in order: this thread begins with the first, others with the last. Such work
+    may ask for threads too.
+    """
     count = len(arguments[0])
     left, out = deque(range(count)), dict[int, T]()
 
-    def work_off(next_view: Callable[[], int]) -> None:
+    def work_off(next_item: Callable[[], int]) -> None:
         while left:
             try:
-                k = next_view()
+                k = next_item()
             except IndexError:  # another thread was quicker
                 return
             out[k] = work(*(argument[k] for argument in arguments))
@@ -48,4 +52,4 @@ def _finish(helpers: Sequence[Future[None]]) -> None:
 
 @cache
 def _others() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(THREADS - 1, thread_name_prefix="view")
+    return ThreadPoolExecutor(THREADS - 1, thread_name_prefix="twistcap")

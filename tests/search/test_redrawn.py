@@ -13,7 +13,7 @@ from twistcap.body.humanoid import humanoid
 from twistcap.body.limbs import branches
 from twistcap.search.draws import anywhere
 from twistcap.search.evidence import Evidence, EvidenceView
-from twistcap.search.redrawn import RedrawnLimb, evidence_before
+from twistcap.search.redrawn import RedrawnLimb, evidence_before, window
 
 
 @pytest.mark.parametrize("nearest", [0.0, 9.0])
@@ -33,9 +33,12 @@ def test_the_evidence_of_any_pose_of_a_branch_is_that_of_the_whole_body(nearest:
         np.testing.assert_allclose([redrawn.of(p) for p in poses], whole, atol=1e-3)
 
 
-def test_the_kernel_is_its_readable_twin() -> None:
-    rng, shape = np.random.default_rng(1), (9, 11)
+def test_kernels_are_their_readable_twins() -> None:
+    rng, shape, seen = np.random.default_rng(1), (9, 11), (5, 4)
     maps = rng.normal(size=(4, *shape)).astype(np.float32)
     part, nearness = rng.integers(-1, 4, shape).astype(np.int32), rng.random(shape).astype(np.float32)
-    face, near = rng.integers(-1, 6, shape).astype(np.int32), rng.random(shape).astype(np.float32)
-    check_twin(evidence_before, maps, part, nearness, face, near, rng.integers(0, 4, 6).astype(np.int32), rtol=1e-5)
+    face, near = rng.integers(-1, 6, seen).astype(np.int32), rng.random(seen).astype(np.float32)
+    face_part = rng.integers(0, 4, 6).astype(np.int32)
+    check_twin(evidence_before, maps, part, nearness, (6, 2), face, near, face_part, rtol=1e-5)
+    for middle in ((20.0, 30.0), (0.0, 0.0), (-60.0, 20.0), (300.0, 20.0), (97.0, 71.5)):
+        check_twin(window, np.array(middle) + 9.0 * rng.normal(size=(7, 2)), (96, 70))

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
 import pytest
 
+from support.faulty_walk import FAULT, empty, tracked_walk
 from twistcap import threads
 from twistcap.build import build
 from twistcap.errors import InputError
+from twistcap.search.body import BodySearch
 from twistcap.studio import StudioConfig, capture
 from twistcap.track import Tracker
 
@@ -26,8 +29,8 @@ def pool() -> Iterator[None]:
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_the_results_of_views_come_in_their_order(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
     monkeypatch.setattr(threads, "THREADS", count)
-    assert threads.each_view(lambda i, j: i + j, range(5), range(5)) == [0, 2, 4, 6, 8]
-    assert threads.each_view(lambda i: i, []) == []
+    assert threads.in_parallel(lambda i, j: i + j, range(5), range(5)) == [0, 2, 4, 6, 8]
+    assert threads.in_parallel(lambda i: i, []) == []
 
 
 def test_two_threads_share_the_views(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -38,8 +41,14 @@ def test_two_threads_share_the_views(monkeypatch: pytest.MonkeyPatch) -> None:
         both.wait()
         return threading.current_thread().name
 
-    here, there = threads.each_view(work, range(2))
-    assert here == threading.current_thread().name and there.startswith("view")
+    here, there = threads.in_parallel(work, range(2))
+    assert here == threading.current_thread().name and there.startswith("twistcap")
+
+
+def test_work_in_threads_may_ask_for_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "THREADS", 3)
+    found = threads.in_parallel(lambda i: threads.in_parallel(lambda j: 10 * i + j, range(4)), range(5))
+    assert found == [[10 * i + j for j in range(4)] for i in range(5)]
 
 
 def test_an_error_in_any_thread_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -52,7 +61,7 @@ def test_an_error_in_any_thread_is_raised(monkeypatch: pytest.MonkeyPatch) -> No
             raise InputError("view 1: no.")
 
     with pytest.raises(InputError, match="view 1"):
-        threads.each_view(work, range(2))
+        threads.in_parallel(work, range(2))
 
 
 def test_work_ahead_is_done_by_another_thread_if_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -78,3 +87,15 @@ def test_estimates_do_not_depend_on_the_number_of_threads(monkeypatch: pytest.Mo
         np.testing.assert_array_equal(alone.pose.q, pooled.pose.q)
         np.testing.assert_array_equal(alone.pose.root, pooled.pose.root)
         np.testing.assert_array_equal(alone.covariance, pooled.covariance)
+
+
+def test_a_search_does_not_depend_on_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a gap the whole body is looked for."""
+    tracks, looks, found = [], list[int](), BodySearch.found
+    monkeypatch.setattr(BodySearch, "found", lambda self, least=None: looks.append(1) or found(self, least))
+    for count in (1, 2):
+        monkeypatch.setattr(threads, "THREADS", count)
+        threads._others.cache_clear()
+        tracks.append([off for off, _ in islice(tracked_walk(empty), FAULT.stop + 2)])
+        assert len(looks) >= count
+    np.testing.assert_array_equal(*tracks)

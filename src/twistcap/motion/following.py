@@ -171,8 +171,8 @@ def leverage(body: Body, poses: Float) -> Float:
     forearm's rotation to ten or twenty. Kovar, Gleicher and Pighin, "Motion Graphs" (DOI 10.1145/566654.566605),
     section 3, likewise compare poses by points of the body. The vertices should lie about evenly on the surface.
     """
-    every = max(1, len(body.vertices) // _POINTS)
-    surface = [of_vertices[::every] for of_vertices in (body.skin_segments, body.skin_weights, body.vertices)]
+    every = slice(None, None, max(1, len(body.vertices) // _POINTS))
+    surface = body.skin_segments[every], body.skin_weights[every], body.vertices[every]
     by_step = (Posed(body, Pose(np.eye(4), q)).point_jacobian(*surface)[:, :, 6:] for q in poses)
     return np.sqrt(np.mean([np.square(each).sum(axis=1).mean(axis=0) for each in by_step], axis=0))
 

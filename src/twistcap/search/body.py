@@ -24,6 +24,7 @@ from twistcap.search.limb import LimbRule, placed
 from twistcap.search.placing import Hypothesis, Placing, PlacingRule, away
 from twistcap.search.recollection import Covered, Recollection
 from twistcap.search.stances import bundled, lowest
+from twistcap.threads import in_parallel
 
 
 @dataclass(frozen=True)
@@ -91,18 +92,15 @@ class BodySearch:
         """The pose that the images show; None where they show no body clearly enough, or none with as much evidence as
         a fit has that it is to replace.
         """
-        fitted = sorted(map(self._fitted, self._worth()), key=self._standing, reverse=True)
-        for h in [*fitted[: self.rule.limbed], *self._placing.apart(fitted)[1:2]]:
-            fitted.append(self._fitted(self._with_limbs_placed(h)))
+        fitted = sorted(in_parallel(self._fitted, self._worth()), key=self._standing, reverse=True)
+        limbed = [*fitted[: self.rule.limbed], *self._placing.apart(fitted)[1:2]]
+        fitted += in_parallel(lambda h: self._fitted(self._with_limbs_placed(h)), limbed)
         first = self._believed(fitted)
         if self._ratio(first) < self.rule.worth:
             return None
         starts = [first, *self._beside(first, fitted)] if least is not None else [first]
-        best = max(map(self._settled, starts), key=self._rank)
-        for pose in exchanged(self.problem.body, best.pose):
-            other = self._fitted(put := self._placing.hypothesis(pose))
-            if other is not put:  # what is up to 0.2 m off takes two fits
-                other = self._fitted(other)
+        best = max(in_parallel(self._settled, starts), key=self._rank)
+        for other in in_parallel(self._fitted_twice, exchanged(self.problem.body, best.pose)):
             if other.nats > best.nats - self.rule.close * self._usual:
                 best = max(best, self._settled(other), key=self._rank)
         return best.pose if self._ratio(best) >= self.rule.accepted and (least is None or best.nats >= least) else None
@@ -181,6 +179,11 @@ class BodySearch:
         pose = self.problem.afresh(h.pose, self.rule.margin).pose
         value = self.evidence.of(pose)
         return Hypothesis(pose, value) if value > h.nats else h
+
+    def _fitted_twice(self, pose: Pose) -> Hypothesis:
+        """As a pose needs that is up to 0.2 m off."""
+        once = self._fitted(put := self._placing.hypothesis(pose))
+        return once if once is put else self._fitted(once)
 
     def _with_limbs_placed(self, h: Hypothesis, turn: int = 0) -> Hypothesis:
         """With each limb where the evidence is greatest; other draws in each turn."""

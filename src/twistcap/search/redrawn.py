@@ -65,9 +65,10 @@ class RedrawnLimb:
         """Nats for a body at a pose, see `Evidence.of`."""
         points, nats = Posed(self.body, pose).points(*self.skin), 0.0
         for still in self.still:
-            camera = still.view.camera
-            limb = rasterise(*projected(camera, points), self.faces, (0, 0), camera.size)
-            more = evidence_before(still.view.maps, still.part, still.nearness, *limb, self.face_part)
+            pixels, nearness = projected(still.view.camera, points)
+            first, size = window(pixels, still.view.camera.size)
+            limb = rasterise(pixels, nearness, self.faces, first, size)
+            more = evidence_before(still.view.maps, still.part, still.nearness, first, *limb, self.face_part)
             nats += max(still.share * (still.nats + more), 0.0)
         return nats
 
@@ -87,29 +88,54 @@ def drawn(body: Body, faces: Bool, pixels: Float, nearness: Float, size: tuple[i
 
 
 @njit(cache=True, nogil=True)
+def window(pixels: Float, size: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:
+    """The first pixel (x, y) and the size of the part of an image in which pixels (N, 2) are."""
+    first, last = np.array(size), np.array([-1, -1])
+    for n in range(len(pixels)):
+        for k in range(2):
+            at = min(max(pixels[n, k], -1.0), float(size[k]))
+            first[k], last[k] = min(first[k], int(np.floor(at))), max(last[k], int(np.ceil(at)))
+    x, y = max(first[0], 0), max(first[1], 0)
+    return (x, y), (max(0, min(last[0] + 1, size[0]) - x), max(0, min(last[1] + 1, size[1]) - y))
+
+
+def window_reference(pixels: Float, size: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Readable twin of `window`."""
+    first = np.clip(np.floor(pixels.min(axis=0)).astype(int), 0, size)
+    end = np.clip(np.ceil(pixels.max(axis=0)).astype(int) + 1, first, np.maximum(first, size))
+    return (int(first[0]), int(first[1])), (int(end[0] - first[0]), int(end[1] - first[1]))
+
+
+@njit(cache=True, nogil=True)
 def evidence_before(
-    maps: Float32, part: Int, nearness: Float32, face: Int, face_nearness: Float32, face_part: Int
-) -> float:
-    """Evidence (S, h, w) that triangles add to parts (h, w) of some nearness: they hide what is less near.
+    maps: Float32, part: Int, nearness: Float32, first: tuple[int, int],
+    face: Int, face_nearness: Float32, face_part: Int,
+) -> float:  # fmt: skip
+    """Evidence (S, H, W) that triangles add to parts (H, W) of some nearness: they hide what is less near.
 
     Args:
+        first: (x, y) pixel of the window (h, w) in which the triangles are.
         face, face_nearness: (h, w) visible triangle, −1 for none, and its nearness.
         face_part: (F,) segment of each triangle.
     """
     total = 0.0
-    for r in range(face.shape[0]):
-        for c in range(face.shape[1]):
-            if face[r, c] >= 0 and face_nearness[r, c] > nearness[r, c]:
-                total += maps[face_part[face[r, c]], r, c]
+    for i in range(face.shape[0]):
+        for j in range(face.shape[1]):
+            r, c = first[1] + i, first[0] + j
+            if face[i, j] >= 0 and face_nearness[i, j] > nearness[r, c]:
+                total += maps[face_part[face[i, j]], r, c]
                 if part[r, c] >= 0:
                     total -= maps[part[r, c], r, c]
     return float(total)
 
 
 def evidence_before_reference(
-    maps: Float32, part: Int, nearness: Float32, face: Int, face_nearness: Float32, face_part: Int
-) -> float:
+    maps: Float32, part: Int, nearness: Float32, first: tuple[int, int],
+    face: Int, face_nearness: Float32, face_part: Int,
+) -> float:  # fmt: skip
     """Readable twin of `evidence_before`."""
+    rows, columns = (slice(a, a + n) for a, n in zip(first[::-1], face.shape, strict=True))
+    maps, part, nearness = maps[:, rows, columns], part[rows, columns], nearness[rows, columns]
     before = (face >= 0) & (face_nearness > nearness)
     added: Float32 = np.take_along_axis(maps, face_part[face][None], axis=0)[0]
     hidden: Float32 = np.take_along_axis(maps, np.maximum(part, 0)[None], axis=0)[0]

@@ -31,7 +31,7 @@ from twistcap.render import render, reprojected, visible_contour
 from twistcap.solve import PoseProblem, minimise
 from twistcap.stages import stage
 from twistcap.terms import Term
-from twistcap.threads import each_view
+from twistcap.threads import in_parallel
 from twistcap.track.model import MARGIN, Model
 from twistcap.track.state import State
 
@@ -197,7 +197,7 @@ def alternated(problem: FrameProblem, fit: Fit, level: Level, steps: int = 1) ->
     if again:
         _ = posed.vertices, posed.vertex_normals  # once, not in each thread
     carried: Sequence[Sight | None] = [None] * len(problem.views) if again else fit.sights
-    looked = each_view(lambda i, s: _looked(problem, posed, i, s, level), list(problem.views), carried)
+    looked = in_parallel(lambda i, s: _looked(problem, posed, i, s, level), list(problem.views), carried)
     sights, measured = [sight for sight, _ in looked], [found for _, found in looked]
     standing, news = _prior_terms(problem, fit, measured)
     masked = [evidence for found in _masked(model, measured, fit.visibility) for evidence in found.values()]
