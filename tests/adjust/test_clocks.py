@@ -81,7 +81,7 @@ def test_a_camera_that_is_turned_a_little_does_not_pass_for_late(circle: Capture
     turned = replace(camera, T_cam_world=se3.exp(np.deg2rad([0, 0.3, 0, 0, 0, 0])) @ camera.T_cam_world)
     rig = replace(scene.rig, cameras=(*scene.rig.cameras[:2], turned, scene.rig[3]))
     found = estimate_clocks(frames, scene.body, rig, given, np.zeros((4, 40)), 0)
-    np.testing.assert_allclose(60 * found.late, 0.0, atol=0.02)  # 0.006 is measured; 0.7 if cameras are not free to turn
+    np.testing.assert_allclose(60 * found.late, 0.0, atol=0.02)  # 0.006 is measured; 0.7 if cameras cannot turn
 
 
 def test_the_quadratic_of_clocks_is_that_of_their_energy(circle: Capture) -> None:

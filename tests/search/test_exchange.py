@@ -10,6 +10,7 @@ import pytest
 
 from support.faulty_walk import tracked_walk, walk
 from support.finite_differences import check_jacobian, numeric_jacobian
+from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
@@ -19,7 +20,7 @@ from twistcap.search import body as whole_body
 from twistcap.search.body import BodyRule, BodySearch
 from twistcap.search.exchange import MiddlesTerm, exchanged
 from twistcap.search.limb import LimbRule
-from twistcap.search.placing import PlacingRule
+from twistcap.search.placing import Hypothesis, PlacingRule
 from twistcap.track.step import posed_problem
 
 FRAME = 12
@@ -85,3 +86,20 @@ def test_legs_that_have_been_taken_for_each_other_are_set_right(
     assert found is not None
     off = np.linalg.norm(Posed(scene.body, found).landmarks - scene.landmarks[FRAME], axis=1).max()
     assert (off < 0.05) == exchanging
+
+
+def test_a_look_again_sets_out_from_the_best_other_pose_of_the_body_there_as_well() -> None:
+    """From exchanged legs, not from those that are much the same, nor from another body."""
+    scene, frames = walk()
+    *_, (_, tracker) = islice(tracked_walk(lambda frame: frame), FRAME)
+    truth, none = scene.true_poses[FRAME], np.zeros((scene.body.dof,) * 2)
+    problem = posed_problem(tracker.state, frames[FRAME], tracker.model, Prediction(truth, "hold", none, none))
+    known = tracker.state.searches["lost body"].known
+    search = BodySearch(BodyRule(), LimbRule(), known, problem, known.evidence(problem))
+    alike = truth.retract(np.r_[0.0, 0.0, 0.0, 0.02, np.zeros(scene.body.dof - 4)])
+    away = Pose(se3.transform(np.eye(3), np.array([2.0, 0.0, 0.0])) @ truth.root, truth.q)
+    nats = {"best": 9.0, "alike": 8.0, "away": 7.0, "legs": 5.0, "worse legs": 4.0}
+    poses = (truth, alike, away, exchanged(scene.body, truth)[-1], exchanged(scene.body, alike)[-1])
+    best, *others = (Hypothesis(pose, n) for pose, n in zip(poses, nats.values(), strict=True))
+    assert search._beside(best, [best, *others]) == [others[2]]
+    assert search._beside(best, [best, *others[:2]]) == []
