@@ -319,6 +319,10 @@ def test_clicks_csv_and_json_agree(tmp_path: Path) -> None:
         ("camera,joint,x,y\na,knee_r,1,2\na,knee_r,1,2\n", "given twice"),
         ("camera,joint,x,y\na,kneee_r,1,2\n", "joint 'kneee_r' is unknown"),
         ("camera,joint,x,y\na,knee_r,1\n", "finite number"),
+        (
+            "camera,joint,x,y\na,knee_r,1,5,2,5\n",
+            "the line of knee_r in a has more fields .* write numbers with a point",
+        ),
         ("", "is missing"),
     ],
 )

@@ -228,14 +228,21 @@ def test_corrupt_frame_loses_nothing(session: Path, tmp_path: Path, capsys: pyte
     assert len(read_result(tmp_path / "out" / "result.h5")) == 8
 
 
+@pytest.mark.parametrize("in_a_kernel", [False, True])
 def test_interrupt_keeps_the_result(
-    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    in_a_kernel: bool, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Numba makes another error of it, which may be the reason of one more."""
     from twistcap.track import Tracker
 
     step = Tracker.step
 
     def impatient(self: Tracker, frame: Any) -> Any:
+        if frame.index == 3 and in_a_kernel:
+            try:
+                raise SystemError("kernel returned a result with an exception set") from KeyboardInterrupt()
+            except SystemError as error:
+                raise SystemError("another kernel") from error
         if frame.index == 3:
             raise KeyboardInterrupt
         return step(self, frame)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import fields
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from pygltflib import GLTF2
 
 from support.commands import document, refusal, run
 from twistcap.body import gltf
+from twistcap.io import exports
 from twistcap.io.provenance import made_of
 from twistcap.io.recording import body_in_words, open_recording
 from twistcap.io.session import load_session
@@ -107,3 +109,13 @@ def test_a_glb_of_which_no_rig_is_known_is_said(
         assert "its rig is not known (" in sentence
         assert "of its 18 bones are found by name" in sentence
     assert sentence.rstrip(".").endswith("rig file (docs/formats/body-files.md)")
+
+
+@pytest.mark.parametrize(("kind", "module"), [("c3d", "ezc3d"), ("usd", "pxr")])
+def test_an_export_that_lacks_its_package_is_refused_before_the_work(
+    kind: str, module: str, session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(exports, "find_spec", lambda name: None if name == module else find_spec(name))
+    said = refusal(capsys, "track", session, "--out", tmp_path / "out", "--set", f'output.exports=["trc", "{kind}"]')
+    assert f"pip install 'twistcap[{kind}]'" in said and not (tmp_path / "out" / "result.h5").exists()

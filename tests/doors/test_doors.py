@@ -17,7 +17,7 @@ from support.results import estimate, two_links
 from twistcap.doors import _hdf5_dump, child, hdf5
 from twistcap.doors.npz import npz_arrays, read_npz
 from twistcap.doors.schema import Schema, checked, real, whole, word
-from twistcap.doors.text import finite_number, read_text
+from twistcap.doors.text import finite_number, read_lines, read_text
 from twistcap.errors import InputError, naming
 from twistcap.io.result import ResultWriter, read_result
 
@@ -153,10 +153,19 @@ def test_numbers_in_text(value: Any) -> None:
 
 def test_text_has_a_size_and_a_kind(tmp_path: Path) -> None:
     (tmp_path / "a.gz").write_bytes(b"\x1f\x8b no gzip")
-    (tmp_path / "b").write_bytes(b"\xff\xfe")
+    (tmp_path / "b").write_bytes(b"\xff\xff")
     for name in ("a.gz", "b", "missing", ".", "x\0y"):
         with pytest.raises(InputError, match=r"cannot be|not a text"):
             read_text(tmp_path / name)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_text_says_how_it_is_encoded(tmp_path: Path, encoding: str) -> None:
+    (tmp_path / "a.csv").write_text("Hüfte,1\n", encoding)
+    assert read_text(tmp_path / "a.csv") == "Hüfte,1\n" and read_lines(tmp_path / "a.csv") == ["Hüfte,1"]
+    (tmp_path / "a.csv").write_text("Hüfte,1\n", "cp1252")
+    with pytest.raises(InputError, match="not a text file in UTF-8; save it as one"):
+        read_text(tmp_path / "a.csv")
 
 
 def test_sentences_are_short_and_harmless() -> None:

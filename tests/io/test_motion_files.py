@@ -98,6 +98,7 @@ TRC_ERRORS = {
     "line 7 has more than 5 fields": ("3.000000", "2.0\t3.0"),
     "not a TRC file": ("PathFileType", "Path"),
     "Time is missing": ("1\t0.0\t", "1\t\t"),
+    "NumFrames is 20, but it has 2 rows; it was cut off": ("\t2\t1\tm", "\t20\t1\tm"),
 }
 
 

@@ -112,6 +112,14 @@ def test_a_shell_may_spell_out_the_videos(recorded: Path) -> None:
     assert set(load_session(recorded / "mine" / "session.toml").videos) == {"cam1", "cam10"}
 
 
+@pytest.mark.parametrize("videos", ["trial [1]", "trial [1]/*.mp4", "trial [1]/cam1 [b].mp4"])
+def test_brackets_in_names_that_exist_are_no_pattern(recorded: Path, videos: str) -> None:
+    (recorded / "videos" / "cam1.mp4").rename(recorded / "videos" / "cam1 [b].mp4")
+    (recorded / "videos").rename(recorded / "trial [1]")
+    assert new(recorded, recorded / videos) == 0
+    assert "cam1" in load_session(recorded / "mine" / "session.toml").videos
+
+
 def test_images_leave_the_frame_rate_open(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import cv2
 

@@ -98,6 +98,8 @@ def test_command_line_over_session_over_defaults(path: Path) -> None:
         ("[2, 9]", "'2:9'", r"'frames' is '2:9'; it must be a list, such as \[2, 9\]"),
         ("[2, 9]", "[1, 2, 3]", r"'frames' is \[1, 2, 3\]; it must be a list of 2 or fewer"),
         ("[tracker]", '[output]\nexports = "trc"\n[tracker]', r"it must be a list, such as \['trc'\]"),
+        ("[tracker]", '[output]\nexports = "[trc, csv]"\n[tracker]', r"it must be a list, such as \['trc', 'csv'\]"),
+        ("[2, 9]", "'[2, 9'", r"'frames' is '\[2, 9'; it must be a list, such as \[2, 9\]"),
         ("[tracker]", '[output]\nexports = ["trcs"]\n[tracker]', "output.exports: there is no export format 'trcs'"),
         ("[tracker]", '[clocks]\ncam0.offset = "1"\n[tracker]', "'clocks.cam0.offset' is '1'; it must be a number"),
         ("[videos]", 'floor = "low"\n[videos]', "'cameras.floor' is 'low'; it must be a number or false"),

@@ -61,7 +61,10 @@ def test_writer_makes_browser_video(tmp_path: Path) -> None:
     assert head.index(b"moov") < head.index(b"mdat")  # plays before it is loaded whole
 
 
-def test_images_in_order_and_dropped(tmp_path: Path) -> None:
+@pytest.mark.parametrize("place", ["", "trial [1]"])
+def test_images_in_order_and_dropped(tmp_path: Path, place: str) -> None:
+    tmp_path /= place
+    tmp_path.mkdir(exist_ok=True)
     for k in (8, 9, 11, 12):
         cv2.imwrite(str(tmp_path / f"im_{k}.png"), picture(k)[..., ::-1])
     numbered = ImageSource(tmp_path / "im_%d.png")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -42,16 +43,21 @@ def run_command(app: typer.Typer, name: str, arguments: Sequence[str] | None, ca
     """Run an app; bad input, or a file that cannot be used, ends with one sentence on stderr and exit code 2."""
     try:
         app(args=None if arguments is None else list(arguments), prog_name=called)
+        if sys.stdout:
+            sys.stdout.flush()
+    except BrokenPipeError:  # whoever read it has read enough
+        _let_go_of_stdout()
+        sys.exit(1)
     except InputError as error:
         print(f"{name}: {error}", file=sys.stderr)
         sys.exit(2)
     except OSError as error:  # a full disk, a folder that may not be written
         fact = f"{error.filename or 'a file'} cannot be used: {error.strerror or error}"
         print(f"{name}: {fact}; choose another place, or see who may write there.", file=sys.stderr)
+        _let_go_of_stdout()
         sys.exit(2)
     except (SystemExit, SystemError) as error:  # by Ctrl-C, as typer and numba's kernels pass it on
-        reasons = (error.__cause__, error.__context__, getattr(error.__context__, "__cause__", None))
-        if any(isinstance(reason, KeyboardInterrupt) for reason in reasons):
+        if by_ctrl_c(error):
             print(f"{name}: interrupted; nothing more is written.", file=sys.stderr)
             sys.exit(130)
         raise
@@ -59,6 +65,21 @@ def run_command(app: typer.Typer, name: str, arguments: Sequence[str] | None, ca
         while _made:
             with suppress(OSError):  # it holds something
                 _made.pop(0).rmdir()
+
+
+def _let_go_of_stdout() -> None:
+    """Nothing more goes to a standard output that cannot be written: Python would try again at its end."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def by_ctrl_c(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is what led to an error."""
+    if error is None or isinstance(error, KeyboardInterrupt):
+        return error is not None
+    return by_ctrl_c(error.__cause__) or by_ctrl_c(error.__context__)
 
 
 @contextmanager

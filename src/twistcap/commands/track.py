@@ -88,12 +88,14 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
     """Track a session into a folder; what ``--json`` prints."""
     from twistcap.commands.cameras import mend_in_words, places_and_clocks
     from twistcap.commands.clocks import clocks_in_words
+    from twistcap.io.exports import check_installed
     from twistcap.io.lock import WriteLock
     from twistcap.io.result import read_result
     from twistcap.report.words import beside_in_words, result_in_words
 
     path = folder / "result.h5"
     norms = session.output.gait_norms  # a file that cannot be read is refused before the work
+    check_installed(session.output.exports)
     terminal.tell_compiling()
     with WriteLock(path) as lock:
         views, timing, watched = _tracked(session, path, begin, lock)
@@ -220,7 +222,9 @@ def _kept(views: Any, tracker: Any, writer: Any, path: Path, passed: Iterable[An
 
     try:
         return follow(views, len(views), tracker, writer, passed, given)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:  # numba's kernels make the second of the first
+        if not terminal.by_ctrl_c(error):
+            raise
         terminal.say(f"interrupted: the first {len(writer)} frames are kept in {path}; go on with --resume")
         raise typer.Exit(130) from None
 

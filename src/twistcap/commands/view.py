@@ -94,6 +94,10 @@ def _page(paths: list[Path], reference: Path | None, session: Path | None, width
         raise InputError(f"result file {paths[0]} has no frame; there is nothing to view.")
     with words.status("reading images, drawing outlines"):
         sources = _sources(first, session, images)
+        if reference is not None and reference.is_dir():
+            raise InputError(
+                f"the reference {reference} is a folder; masks are for twistcap evaluate, give a file here."
+            )
         truth = None if reference is None else load_reference(reference, first.body, partial(frame_times, first))
         title = next(iter(results)) if len(results) == 1 else "twistcap: " + ", ".join(results)
         return view_page(results, sources, truth, title, Options(width, _FRAMES if images is None else images))
@@ -119,8 +123,8 @@ def _sources(result: Any, session: Path | None, images: int | None) -> dict[str,
     videos = {name: path for name, path in named.items() if isinstance(path, str)} if isinstance(named, dict) else {}
     if images == 0 or (session is None and images is None):
         if images is None and videos:
-            reason = f"{', '.join(videos.values())[:200]}; --session SESSION or --images {_FRAMES} shows them"
-            terminal.say(f"no images: the result names {reason}.")
+            how = f"--session SESSION or --images {_FRAMES} shows them"
+            terminal.say(f"no images: the result names those of {len(videos)} cameras; {how}.")
         return {}
     return {camera.name: source for camera in result.rig if (source := _source(camera, videos, session)) is not None}
 

@@ -109,13 +109,22 @@ def _wanted(fault: Any) -> str:
     """What a value must be, for one who knows TOML and not Python."""
     kind, value = fault["type"], fault["input"]
     if kind in ("tuple_type", "list_type"):
-        numbers = re.findall(r"-?\d+", value) if isinstance(value, str) and re.fullmatch(r"[-\d:, ]+", value) else []
-        entries = ", ".join(numbers) or (brief(value) if isinstance(value, str) else f"0, {brief(value)}")
-        return f"a list, such as [{entries}]"
+        return f"a list, such as [{_entries(value)}]"
     if kind == "too_long":
         return f"a list of {fault['ctx']['max_length']} or fewer"
     message = str(fault["msg"]).rstrip(".").removeprefix("Input should be ")
     return _KINDS.get(kind) or {"True": "true", "False": "false"}.get(message, f"{message[0].lower()}{message[1:]}")
+
+
+def _entries(value: Any) -> str:
+    """What a list may hold where a value was given instead: a shell takes quotes away, and brackets may be one."""
+    if not isinstance(value, str):
+        return f"0, {brief(value)}"
+    if re.fullmatch(r"[-\d:, \[\]]+", value):
+        return ", ".join(re.findall(r"-?\d+", value))
+    return (
+        ", ".join(brief(word) for word in re.findall(r"[^][,'\" ]+", value)) if value.startswith("[") else brief(value)
+    )
 
 
 def _given_path(data: Any, loc: Sequence[int | str]) -> list[int | str]:

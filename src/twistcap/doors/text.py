@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import json
 import tomllib
 import zlib
@@ -38,16 +39,19 @@ def read_bytes(path: Path, most: int = LARGEST) -> bytes:
 
 
 def read_text(path: Path, lenient: bool = False) -> str:
-    """A UTF-8 text file, unpacked where it ends in .gz; `lenient` replaces what is no UTF-8. Raises InputError."""
+    """A text file in UTF-8, or in UTF-16 that says so, unpacked where it ends in .gz; `lenient` replaces what is
+    neither. Raises InputError.
+    """
     data = read_bytes(path)
     try:
         if path.suffix == ".gz":
             data = _unpacked(path, data)
-        return data.decode("utf-8-sig", "replace" if lenient else "strict")
+        wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        return data.decode("utf-16" if wide else "utf-8-sig", "replace" if lenient else "strict")
     except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{path} cannot be unpacked: {error}.") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path} is not a text file in UTF-8.") from error
+        raise InputError(f"{path} is not a text file in UTF-8; save it as one.") from error
 
 
 def read_lines(path: Path) -> list[str]:
@@ -112,7 +116,7 @@ def read_toml(path: Path, what: str, mend: str = "check the path") -> dict[str, 
     try:
         text = read_text(path)
     except InputError as error:
-        raise InputError(f"{str(error).rstrip('.')}; it is no {what or 'TOML file'}: {mend}.") from error
+        raise InputError(f"{str(error).rstrip('.')}; if it is no {what or 'TOML file'}, {mend}.") from error
     return parsed_toml(text, f"{what} {path}".strip())
 
 

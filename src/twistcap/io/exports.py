@@ -7,9 +7,10 @@ A format is an `ExportFormat`, or a function that gives one, named in `FORMATS` 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,17 @@ from twistcap.registry import Registry
 _NAMES = ("trc", "mot", "bvh", "csv", "glb", "usd", "c3d", "opensim")
 _OWN = {name: f"twistcap.io.exports:{name}" for name in _NAMES}
 FORMATS = Registry("export format", "twistcap.exports", _OWN)
+_PACKAGES = {"c3d": "ezc3d", "usd": "pxr"}  # modules of optional packages that formats need
 _PLAYED = ("fps", "into", "rig")  # what files that are played take
 _FASTEST = 1000.0  # frames per second; more fills the memory, and no player shows it
+
+
+def check_installed(kinds: Iterable[str]) -> None:
+    """Raises InputError for a format whose optional package is not installed."""
+    for kind in kinds:
+        if kind in _PACKAGES and find_spec(_PACKAGES[kind]) is None:
+            mend = f"install it with: pip install 'twistcap[{kind}]', or take {kind!r} out of [output] exports"
+            raise InputError(f"{kind.upper()} files need a package that is not installed; {mend}.")
 
 
 @dataclass(frozen=True)

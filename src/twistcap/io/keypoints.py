@@ -202,6 +202,10 @@ def _csv_rows(path: Path) -> list[tuple[str, str, Any, Any, Any]]:
         if not rows or column not in rows[0]:
             head = "camera,joint,x,y[,confidence]"
             raise InputError(f"{path}: column {column!r} is missing; the first line must be {head}.")
+    for r in rows:
+        if None in r:  # what is beyond the last column
+            where = f"the line of {r['joint']} in {r['camera']}"
+            raise InputError(f"{path}: {where} has more fields than the first line; write numbers with a point.")
     return [(r["camera"], r["joint"], r["x"], r["y"], r.get("confidence") or 1.0) for r in rows]
 
 

@@ -87,6 +87,9 @@ def read_trc(path: Path | str, axes: WorldAxes = "opensim") -> Markers:
         raise InputError(f"{path}: NumMarkers is {header.get('NumMarkers')}, but line 4 names {len(names)} markers.")
     rows = [_trc_row(path, n, line, len(names)) for n, line in enumerate(lines[5:], start=6) if line.strip()]
     check(str(path), rows, "it has no frames")
+    told = header.get("NumFrames", "")
+    whole = not told.isdigit() or int(told) <= len(rows)
+    check(str(path), whole, f"NumFrames is {told}, but it has {len(rows)} rows; it was cut off, or correct the header")
     table = np.array(rows)
     points = table[:, 2:].reshape(len(table), len(names), 3) * UNITS[unit]
     return Markers(names, table[:, 1], points @ TO_FILE[axes])

@@ -6,7 +6,6 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from glob import glob
 from pathlib import Path
 
 from twistcap.camera import Rig
@@ -16,7 +15,7 @@ from twistcap.io.cameras.axes import Up, axis_up, check_z_up
 from twistcap.io.cameras.units import toml_unit
 from twistcap.io.files import pasted
 from twistcap.io.model_file import is_address, is_model_file
-from twistcap.io.sources import IMAGE_ENDINGS
+from twistcap.io.sources import IMAGE_ENDINGS, matching
 from twistcap.io.video import Source, check_size, is_there, open_source
 
 VIDEO_ENDINGS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts"}
@@ -165,7 +164,7 @@ def recordings(text: str) -> list[tuple[str | None, str]]:
         raise InputError(f"folder {path} holds no images; give camera {name!r} one video, or a folder of images.")
     if named or "%" in text:
         return [(name, path) if named else (None, text)]
-    files = sorted(glob(text)) if any(c in text for c in "*?[") else [text]
+    files = matching(text) if any(c in text for c in "*?[") else [text]
     if not files:
         raise InputError(f"no file matches {text}; check --videos.")
     return [(None, inside) for file in files for inside in _in_folder(Path(file))]

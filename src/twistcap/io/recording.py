@@ -251,7 +251,7 @@ def _start(session: Session, rig: Rig, body: Body, views: Views) -> _Start:
         body = body if table.fit_lengths is False else body_at(table.file, body)
         return _Start(body, (first,), (read_pose(table.file, body, table.frame),))
     if table.clicks is not None:
-        clicks = read_clicks(table.clicks, rig.names)
+        clicks = read_clicks(table.clicks, rig.names, body.landmarks.names)
         fit = fit_keypoints(body, rig, clicks, fit_lengths=session.fits_lengths)
         return _Start(fit.body, (first,), (fit.pose,), report=start_report(session, rig, body, clicks, fit))
     if table.detector is not None:

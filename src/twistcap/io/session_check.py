@@ -8,6 +8,7 @@ from pathlib import Path
 from twistcap.camera import Rig
 from twistcap.errors import InputError, naming
 from twistcap.io.detectors import check_detector
+from twistcap.io.exports import check_installed
 from twistcap.io.keypoints import read_clicks
 from twistcap.io.masks import read_masks
 from twistcap.io.pose_file import body_at, read_pose
@@ -25,10 +26,11 @@ def check_session(session: Session) -> None:
         rig = rig_of(session)
         views, body, start = views_of(session, rig), body_of(session), session.first_pose
         _ = session.pose_prior, session.motion_library, session.output.gait_norms
+        check_installed(session.output.exports)
         if start.file is not None:
             read_pose(start.file, body_at(start.file, body), start.frame)
         if start.clicks is not None:
-            read_clicks(start.clicks, rig.names)
+            read_clicks(start.clicks, rig.names, body.landmarks.names)
         _check_keypoints(session, rig, views)
         if (girths := session.fit_girths) is not None:
             for frame in girths.frames:

@@ -241,9 +241,18 @@ def _numbered(pattern: str) -> list[str | None]:
 
 
 def _in_order(pattern: str) -> list[str | None]:
-    files = glob(str(Path(pattern) / "*")) if Path(pattern).is_dir() else glob(pattern)
+    files = map(str, Path(pattern).iterdir()) if Path(pattern).is_dir() else matching(pattern)
     images: list[str] = [file for file in files if Path(file).suffix.lower() in IMAGE_ENDINGS]
     return [*sorted(images, key=natural)]
+
+
+def matching(pattern: str) -> list[str]:
+    """Files that a pattern names. Brackets in the names of files and folders that exist are no pattern."""
+    path = Path(pattern)
+    if path.exists():
+        return [pattern]
+    folder = next(parent for parent in path.parents if parent.is_dir())
+    return sorted(glob(str(Path(escape(str(folder))) / path.relative_to(folder))))
 
 
 def natural(name: str) -> list[tuple[int, str]]:
