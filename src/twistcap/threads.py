@@ -35,7 +35,11 @@ def in_parallel(work: Callable[..., T], *arguments: Sequence[Any]) -> list[T]:
                 k = next_item()
             except IndexError:  # another thread was quicker
                 return
-            out[k] = work(*(argument[k] for argument in arguments))
+            try:
+                out[k] = work(*(argument[k] for argument in arguments))
+            except BaseException:
+                left.clear()  # nobody wants the others any more
+                raise
 
     helpers = [_others().submit(work_off, left.pop) for _ in range(min(THREADS, count) - 1)]
     work_off(left.popleft)

@@ -42,6 +42,16 @@ def test_legs_take_each_others_places() -> None:
     assert np.array_equal(other.within(body.limits).q, other.q)
 
 
+def test_legs_of_all_poses_of_a_walk_can_be_exchanged() -> None:
+    """Also where knees are stretched to their limits."""
+    scene, _ = walk()
+    legs = np.array([name.split("_")[0] in LEG for name in scene.body.segment_names])
+    for pose in scene.true_poses:
+        there = Posed(scene.body, pose).segment_middles[partners(scene.body.segment_names)]
+        found = np.array([Posed(scene.body, other).segment_middles for other in exchanged(scene.body, pose)])
+        assert len(found) and np.linalg.norm(found - there, axis=2)[:, legs].max(axis=1).min() < 0.2
+
+
 def test_a_body_without_sides_has_nothing_to_exchange() -> None:
     body = humanoid()
     names = {

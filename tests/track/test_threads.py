@@ -11,6 +11,7 @@ import pytest
 
 from support.faulty_walk import FAULT, empty, tracked_walk
 from twistcap import threads
+from twistcap.body import Pose
 from twistcap.build import build
 from twistcap.errors import InputError
 from twistcap.search.body import BodySearch
@@ -47,8 +48,31 @@ def test_two_threads_share_the_views(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_work_in_threads_may_ask_for_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threads, "THREADS", 3)
-    found = threads.in_parallel(lambda i: threads.in_parallel(lambda j: 10 * i + j, range(4)), range(5))
-    assert found == [[10 * i + j for j in range(4)] for i in range(5)]
+    found = list[list[list[int]]]()
+
+    def both() -> None:
+        found.append(threads.in_parallel(lambda i: threads.in_parallel(lambda j: 10 * i + j, range(4)), range(5)))
+
+    caller = threading.Thread(target=both, daemon=True)
+    caller.start()
+    caller.join(20.0)  # they may not wait for each other
+    assert found == [[[10 * i + j for j in range(4)] for i in range(5)]]
+
+
+def test_nothing_more_is_begun_after_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "THREADS", 2)
+    begun, refused = list[int](), threading.Event()
+
+    def work(k: int) -> None:
+        begun.append(k)
+        if k == 0:
+            refused.set()
+            raise InputError("view 0: no.")
+        assert refused.wait(10.0)
+
+    with pytest.raises(InputError, match="view 0"):
+        threads.in_parallel(work, range(40))
+    assert len(begun) < 5
 
 
 def test_an_error_in_any_thread_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,11 +115,14 @@ def test_estimates_do_not_depend_on_the_number_of_threads(monkeypatch: pytest.Mo
 
 def test_a_search_does_not_depend_on_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """After a gap the whole body is looked for."""
-    tracks, looks, found = [], list[int](), BodySearch.found
+    tracks, looks, found = list[list[Pose]](), list[int](), BodySearch.found
     monkeypatch.setattr(BodySearch, "found", lambda self, least=None: looks.append(1) or found(self, least))
-    for count in (1, 2):
+    for count in (1, 3):
         monkeypatch.setattr(threads, "THREADS", count)
         threads._others.cache_clear()
-        tracks.append([off for off, _ in islice(tracked_walk(empty), FAULT.stop + 2)])
-        assert len(looks) >= count
-    np.testing.assert_array_equal(*tracks)
+        looks.clear()
+        tracks.append([t.state.past.last for _, t in islice(tracked_walk(empty), FAULT.stop + 2)])
+        assert looks
+    for alone, pooled in zip(*tracks, strict=True):
+        np.testing.assert_array_equal(alone.q, pooled.q)
+        np.testing.assert_array_equal(alone.root, pooled.root)

@@ -7,12 +7,12 @@ DOI 10.1109/CVPR.2007.383128, eq. 12). Derivatives at a pose are the world twist
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numba import njit
 
 from twistcap import se3
+from twistcap._cached import cached
 from twistcap.arrays import Bool, Float, Int
 from twistcap.body.model import Body
 
@@ -48,44 +48,44 @@ class Posed:
     body: Body
     pose: Pose
 
-    @cached_property
+    @cached
     def joint_transforms(self) -> Float:
         """(J, 4, 4) motion of everything below each coordinate, rest to world."""
         return _chain(self.pose.root, self.body.twists, self.body.parent, self.pose.q)
 
-    @cached_property
+    @cached
     def segment_transforms(self) -> Float:
         """(S, 4, 4) motion of each segment, rest to world."""
         return np.concatenate([self.joint_transforms, self.pose.root[None]])[self.body.segment_joint]  # -1: the root's
 
-    @cached_property
+    @cached
     def world_twists(self) -> Float:
         """(J, 6) ``ξ'_k = Ad_{M g₁…g_{k−1}} ξ_k = Ad_{M g₁…g_k} ξ_k``."""
         return _carried_twists(self.joint_transforms, self.body.twists)
 
-    @cached_property
+    @cached
     def vertices(self) -> Float:
         """(V, 3) skinned surface."""
         body = self.body
         return skin_points(self.segment_transforms, body.skin_segments, body.skin_weights, body.vertices)
 
-    @cached_property
+    @cached
     def vertex_normals(self) -> Float:
         """(V, 3) outward normals of the surface, of length 6 times the area about each vertex."""
         return vertex_normals(self.vertices, self.body.faces)
 
-    @cached_property
+    @cached
     def landmarks(self) -> Float:
         """(L, 3) landmarks."""
         marks = self.body.landmarks
         return _carried(self.segment_transforms[marks.segments], marks.points)
 
-    @cached_property
+    @cached
     def segment_middles(self) -> Float:
         """(S, 3) middle of each segment's own surface; of the whole body's where it has none."""
         return _carried(self.segment_transforms, self.body.segment_middles)
 
-    @cached_property
+    @cached
     def projector(self) -> Float:
         """(6 S, 6 + J) from a pose step to the world twist of every segment, stacked by segment."""
         return _projector(self.body.chain, self.world_twists)

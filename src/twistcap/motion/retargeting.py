@@ -7,6 +7,7 @@ A long axis has more weight than the turn about it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +31,7 @@ _USUAL = (0.5, 0.5, 1.0)
 _REST = 1e-4  # weight of a rad against a rad of direction, for angles that no target determines
 _LIMITS = 0.15  # weight of a rad beyond a limit against a rad of direction
 _SWEEPS, _NEAR = 40, 0.02  # and the rad by which the last of them may still turn a joint
-_STEPS = 30
+_STEPS, _GAIN = 30, 1e-6
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ def _fitted_angles(body: Body, roots: Float, targets: Targets, rate: float) -> F
         q = out[n] = _refined(body, Pose(root, q), targets, n)
     out, bridged = within_limits(body, out, rate)
     for n in np.flatnonzero(~bridged):
-        out[n] = _refined(body, Pose(roots[n], out[n]), targets, int(n), LimitTerm(1.0 / _LIMITS))
+        out[n] = _refined(body, Pose(roots[n], out[n]), targets, int(n), [LimitTerm(1.0 / _LIMITS)])
     return out
 
 
@@ -143,12 +144,12 @@ def _swept(body: Body, pose: Pose, targets: Targets) -> Float:
     return q - 2 * np.pi * np.round((q - body.limits.mean(axis=1)) / (2 * np.pi))
 
 
-def _refined(body: Body, pose: Pose, targets: Targets, n: int, *limits: Term) -> Float:
-    """The coordinates that fit frame n best, from some on, with weak terms towards zero and the limits."""
-    root_only = np.arange(body.dof) < 6
+def _refined(body: Body, pose: Pose, targets: Targets, n: int, limits: Sequence[Term] = ()) -> Float:
+    """The coordinates that fit frame n best, from some on, with a weak term towards zero and one of the limits."""
+    root = np.arange(body.dof) < 6
     directions = DirectionTerm(targets.segments, targets.rotations[n], targets.weights**2)
-    problem = PoseProblem([directions, RestTerm(1.0 / _REST), *limits], root_only)
-    return minimise(problem, Posed(body, pose), _STEPS, damping=1e-6).x.pose.q
+    problem = PoseProblem([directions, RestTerm(1.0 / _REST), *limits], fixed=root)
+    return minimise(problem, Posed(body, pose), _STEPS, damping=1e-6, gain=_GAIN).x.pose.q
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,8 @@ from twistcap.solve import PoseProblem, minimise
 from twistcap.terms import GaussianTerm, LimitTerm, Quadratic
 
 _STEPS = 12
-_SIGMA = 0.05  # m by which a segment may be beside its place, where joints need not turn by 1 rad for it
+_SIGMA = 0.05  # m; a segment so far beside its place costs as much as a joint that turns by 1 rad
+_BEYOND = 0.1  # rad beyond a joint's limit that cost as much; in the end joints are put back to their limits
 _REACHED = 0.2  # m from its place within which each segment of both limbs must come
 
 
@@ -34,13 +35,12 @@ def _pairs(body: Body) -> list[Bool]:
 
 
 def _exchanged(body: Body, pose: Pose, both: Bool) -> Pose | None:
-    """With a pair of limbs exchanged, as near to where they are as it can be; None where one of them does not come
-    there.
-    """
+    """With a pair of limbs exchanged, by some steps; None where one of them does not come there."""
     posed, parts = Posed(body, pose), np.flatnonzero(limb_parts(body, both)).astype(np.int32)
     there = MiddlesTerm(parts, posed.segment_middles[np.array(partners(body.segment_names))[parts]], _SIGMA)
     near = GaussianTerm(pose, np.eye(body.dof))
-    other = minimise(PoseProblem([there, near, LimitTerm()], fixed=~both), posed, _STEPS).x.pose.within(body.limits)
+    problem = PoseProblem([there, near, LimitTerm(_BEYOND)], fixed=~both)
+    other = minimise(problem, posed, _STEPS).x.pose.within(body.limits)
     return other if there.away(Posed(body, other)).max() < _REACHED else None
 
 

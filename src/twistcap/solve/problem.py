@@ -155,7 +155,8 @@ class BlockProblem:
 @dataclass(frozen=True)
 class PoseProblem:
     """The sum of terms as a problem of the pose alone; `rows` of point terms and `quadratics` of the others, by `id` of
-    the terms, are those where it was linearised last. `fixed` (6 + J,) numbers of the step are zero.
+    the terms, are those where it was linearised last. `fixed` (6 + J,) says which numbers of the step do not move; the
+    system has no information of these.
     """
 
     terms: Sequence[Term]
