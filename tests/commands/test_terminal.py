@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-
 import pytest
 
 from support.commands import run
@@ -37,18 +33,6 @@ def test_progress_shows_names_as_they_are(capsys: pytest.CaptureFixture[str]) ->
     printed = capsys.readouterr().err
     for text in (f"films {NAME}", f"camera {NAME}", f"reads {NAME}", f"pass {NAME}", f"said {NAME}"):
         assert text in printed
-
-
-def test_an_output_that_cannot_be_written_ends_the_command() -> None:
-    """Full, or closed by who read it; Python itself would try once more, and say so."""
-    reading, closed = os.pipe()
-    os.close(reading)
-    full = os.open("/dev/full", os.O_WRONLY)
-    for out, code, said in ((full, 2, "twistcap: a file cannot be used: No space left on device"), (closed, 1, "")):
-        command = [sys.executable, "-m", "twistcap", "session", "--explain"]
-        done = subprocess.run(command, stdout=out, stderr=subprocess.PIPE, text=True, check=False)
-        os.close(out)
-        assert done.returncode == code and done.stderr.startswith(said) and done.stderr.count("\n") == bool(said)
 
 
 def test_the_settings_are_listed_with_the_tables_that_they_need(capsys: pytest.CaptureFixture[str]) -> None:

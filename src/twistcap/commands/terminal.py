@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import sys
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -43,18 +42,12 @@ def run_command(app: typer.Typer, name: str, arguments: Sequence[str] | None, ca
     """Run an app; bad input, or a file that cannot be used, ends with one sentence on stderr and exit code 2."""
     try:
         app(args=None if arguments is None else list(arguments), prog_name=called)
-        if sys.stdout:
-            sys.stdout.flush()
-    except BrokenPipeError:  # whoever read it has read enough
-        _let_go_of_stdout()
-        sys.exit(1)
     except InputError as error:
         print(f"{name}: {error}", file=sys.stderr)
         sys.exit(2)
     except OSError as error:  # a full disk, a folder that may not be written
         fact = f"{error.filename or 'a file'} cannot be used: {error.strerror or error}"
         print(f"{name}: {fact}; choose another place, or see who may write there.", file=sys.stderr)
-        _let_go_of_stdout()
         sys.exit(2)
     except (SystemExit, SystemError) as error:  # by Ctrl-C, as typer and numba's kernels pass it on
         if by_ctrl_c(error):
@@ -65,14 +58,6 @@ def run_command(app: typer.Typer, name: str, arguments: Sequence[str] | None, ca
         while _made:
             with suppress(OSError):  # it holds something
                 _made.pop(0).rmdir()
-
-
-def _let_go_of_stdout() -> None:
-    """Nothing more goes to a standard output that cannot be written: Python would try again at its end."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def by_ctrl_c(error: BaseException | None) -> bool:
