@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 
@@ -84,6 +85,28 @@ def test_where_nobody_agrees_the_first_is_taken() -> None:
     for p in people:
         p[..., 2] = 1.0
     assert same_person(ring(), people)[0] == (0, 0, 0, 0)
+
+
+def exchanged(people: list[np.ndarray], a: int, b: int) -> list[np.ndarray]:
+    return [people[{a: b, b: a}.get(c, c)] for c in range(len(people))]
+
+
+@pytest.mark.parametrize(("a", "b"), itertools.combinations(range(4), 2))
+def test_cameras_whose_keypoints_are_exchanged_are_named(a: int, b: int) -> None:
+    """As where their videos are. Of four in a ring, two that face each other are as good as the two others."""
+    rng, rig = np.random.default_rng(5), ring()
+    one, other = (seen(standing(x, y), "halpe_26", rng) for x, y in ((-0.5, 0.2), (0.3, 0.8)))
+    for people in ([one[c][None] for c in range(4)], [np.stack([one[c], other[c]]) for c in range(4)]):
+        with pytest.raises(InputError, match=f"only if .*{rig.names[a]} and {rig.names[b]}.* are exchanged") as told:
+            same_person(rig, exchanged(people, a, b))
+        assert (", or " in str(told.value)) == (b - a == 2)
+
+
+def test_a_camera_that_shows_somebody_else_is_not_exchanged() -> None:
+    rng = np.random.default_rng(6)
+    one, other = (seen(standing(x, y), "halpe_26", rng) for x, y in ((-0.5, 0.2), (0.7, -0.3)))
+    people = [other[0][None], *(one[c][None] for c in (1, 2, 3))]
+    assert same_person(ring(), people)[0] == (None, 0, 0, 0)
 
 
 def test_folders_of_a_session(tmp_path: Path) -> None:

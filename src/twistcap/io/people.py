@@ -10,10 +10,12 @@ import numpy as np
 from twistcap.adjust.first_pose.triangulate import nearest_points
 from twistcap.arrays import Bool, Float
 from twistcap.camera import Rig
+from twistcap.io.keypoints import NoKeypoints
 
 _REACH, _LEAST = 0.05, 3.0  # px that agree: a fraction of the person's height in the image, and at least
 _ENOUGH = 0.5  # of the joints seen twice that must agree, else a view does not show the person
 _STRIDE = 0.5  # m that a person may have moved since the frame before
+_CLEAR = 1.3  # times as much agreement where two cameras are exchanged: they are
 Choice = tuple[int | None, ...]
 """Person by camera; None where none of them is the one."""
 
@@ -27,8 +29,19 @@ def same_person(
     two cameras proposes joints in space, and all views vote. `pinned` are people that the user names, by camera, where
     that camera has people; `before` (L, 3) are the joints in the frame before, which must be near. Where no pair
     agrees, the first is taken.
+
+    Raises NoKeypoints where all agree as soon as two cameras are exchanged, as when their videos are.
     """
-    pinned = pinned or {}
+    score, choice, points = _agreed(rig, people, pinned or {}, before)
+    if not pinned:
+        _check_exchanged(rig, people, before, choice, score)
+    return choice, points
+
+
+def _agreed(
+    rig: Rig, people: Sequence[Float], pinned: Mapping[str, int], before: Float | None
+) -> tuple[float, Choice, Float]:
+    """By how much confidence the views agree, the person of each, and the joints."""
     allowed = [_allowed(len(p), pinned.get(name)) for name, p in zip(rig.names, people, strict=True)]
     needed = [k for k, name in enumerate(rig.names) if name in pinned and allowed[k]]
     best: tuple[float, Choice, Float] | None = None
@@ -45,8 +58,25 @@ def same_person(
                     best = score, choice, points
     if best is None or best[0] <= 0:
         first = tuple(a[0] if a else None for a in allowed)
-        return first, np.full((people[0].shape[1], 3), np.nan)
-    return best[1], best[2]
+        return 0.0, first, np.full((people[0].shape[1], 3), np.nan)
+    return best
+
+
+def _check_exchanged(rig: Rig, people: Sequence[Float], before: Float | None, choice: Choice, score: float) -> None:
+    """Raises NoKeypoints where some camera shows nobody on whom the others agree, unless two are exchanged."""
+    if score > 0 and all(chosen is not None for p, chosen in zip(people, choice, strict=True) if len(p)):
+        return
+    found = dict[str, float]()
+    for c, d in combinations([k for k, p in enumerate(people) if len(p)], 2):
+        given = [people[{c: d, d: c}.get(k, k)] for k in range(len(rig))]
+        better, chosen, _ = _agreed(rig, given, {}, before)
+        if all(who is not None for p, who in zip(given, chosen, strict=True) if len(p)):
+            found[f"{rig.names[c]} and {rig.names[d]}"] = better
+    best = max(found.values(), default=0.0)
+    if best > _CLEAR * score:  # of four in a ring, either two that face each other
+        pairs = ", or ".join(name for name, value in found.items() if value > best / _CLEAR)
+        mend = "give each camera its own video and calibration"
+        raise NoKeypoints(f"the keypoints of all cameras agree only if {pairs} are exchanged; {mend}.")
 
 
 def _allowed(count: int, pinned: int | None) -> list[int]:
