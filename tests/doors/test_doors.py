@@ -17,7 +17,7 @@ from support.results import estimate, two_links
 from twistcap.doors import _hdf5_dump, child, hdf5
 from twistcap.doors.npz import npz_arrays, read_npz
 from twistcap.doors.schema import Schema, checked, real, whole, word
-from twistcap.doors.text import finite_number, read_lines, read_text
+from twistcap.doors.text import finite_number, parsed_toml, read_lines, read_text
 from twistcap.errors import InputError, naming
 from twistcap.io.result import ResultWriter, read_result
 
@@ -164,8 +164,24 @@ def test_text_says_how_it_is_encoded(tmp_path: Path, encoding: str) -> None:
     (tmp_path / "a.csv").write_text("Hüfte,1\n", encoding)
     assert read_text(tmp_path / "a.csv") == "Hüfte,1\n" and read_lines(tmp_path / "a.csv") == ["Hüfte,1"]
     (tmp_path / "a.csv").write_text("Hüfte,1\n", "cp1252")
-    with pytest.raises(InputError, match="not a text file in UTF-8; save it as one"):
+    with pytest.raises(InputError, match="not a text file in UTF-8; save it with that encoding"):
         read_text(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "mend"),
+    [
+        ("a = foo", "write texts in quotes"),
+        ('a = "C:\\videos"', "write / for"),
+        ("a = 1,5", "numbers with a decimal point"),
+        ("a = 1\na = 2", "may stand once"),
+        ("my key = 3", "write key = value"),
+        ("a = [1", "mend it there"),
+    ],
+)
+def test_toml_says_how_it_is_mended(text: str, mend: str) -> None:
+    with pytest.raises(InputError, match=f"s.toml is not valid TOML: .*{mend}"):
+        parsed_toml(text, "s.toml")
 
 
 def test_sentences_are_short_and_harmless() -> None:

@@ -141,6 +141,28 @@ def test_what_is_wrong_is_refused_in_one_sentence(path: Path, old: str, new: str
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("scale", -1, r"s\.toml, with scale, fps set over it: 'scale' is -1"),
+        (
+            "first_pose",
+            "foo",
+            r"with first_pose, fps set over it: 'first_pose' is 'foo'; it must be a table, or 'auto'",
+        ),
+        ("tracker.predictor", "motion", r"with tracker\.predictor, fps set over it: .* names a library"),
+        ("videos.cam0.path", "a.mp4", r"videos\.cam0\.path = 'a\.mp4': 'cam0' holds no keys"),
+    ],
+)
+def test_what_the_command_line_says_wrong_is_not_the_files_fault(
+    path: Path, key: str, value: object, message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        load_session(path, {key: value, "fps": 25.0})
+    with pytest.raises(InputError, match=r"s\.toml: unknown key 'fpz'"):  # the file's own goes first
+        load_session(changed(path, "fps", "fpz"), {"scale": 0.5})
+
+
 def test_motions_make_motion_the_predictor(path: Path) -> None:
     assert load_session(path).motion_library is None
     changed(path, "[tracker]", '[motions]\npath = "walk.npz"\n[tracker]')

@@ -19,6 +19,15 @@ from twistcap.errors import InputError
 LARGEST = 1 << 26  # bytes of a text file, unpacked
 _DEEPEST = 40  # tables and lists in one another
 _GREATEST = 1 << 53  # whole numbers beyond it are none that we count or measure
+_TOML_MENDS = {
+    "Invalid value": "write texts in quotes, and true and false in small letters",
+    "Unescaped": "write / for \\, or the text in single quotes",
+    "Illegal character": "texts end on their line, with the quote that they began with",
+    "Expected newline": "one value to a line, numbers with a decimal point",
+    "Cannot": "each key and each table may stand once",
+    "Expected '='": "write key = value, and keys with other characters than letters, digits, - and _ in quotes",
+}
+"""What begins a fault that the parser tells, and what its users most often meant."""
 
 
 def read_bytes(path: Path, most: int = LARGEST) -> bytes:
@@ -51,7 +60,7 @@ def read_text(path: Path, lenient: bool = False) -> str:
     except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{path} cannot be unpacked: {error}.") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path} is not a text file in UTF-8; save it as one.") from error
+        raise InputError(f"{path} is not a text file in UTF-8; save it with that encoding in an editor.") from error
 
 
 def read_lines(path: Path) -> list[str]:
@@ -125,7 +134,9 @@ def parsed_toml(text: str, source: str) -> dict[str, Any]:
     try:
         content = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{source} is not valid TOML: {_reason(error)}.") from error
+        reason = _reason(error)
+        mend = next((mend for fault, mend in _TOML_MENDS.items() if fault in reason), "mend it there")
+        raise InputError(f"{source} is not valid TOML: {reason}; {mend}.") from error
     _check(content, source)
     return content
 

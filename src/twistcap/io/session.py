@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field, PrivateAttr, field_validator
 
 from twistcap.doors.strict import dataclass_from, validated
-from twistcap.doors.text import read_toml
+from twistcap.doors.text import brief, read_toml
 from twistcap.errors import InputError, check
 from twistcap.io.session_tables import (
     FIRST_POSE,
@@ -155,30 +156,63 @@ def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -
     if path.suffix.lower() in (".h5", ".hdf5"):
         raise InputError(f"{path} is a result, not a session; give the session.toml that it was tracked with.")
     data = _expanded(_with_base(read_toml(path, "session"), path), path)
-    own = data.get("frames")
-    for key, value in (overrides or {}).items():
-        if value is not None:
-            *above, last = key.split(".")
-            table = data
-            for name in above:
-                table = table.setdefault(name, {})
-            table[last] = value
-    if "body" in data and isinstance(data["body"], dict):
-        data["body"].setdefault("kind", "humanoid")
-    data["first_pose"] = _first_pose(data.get("first_pose", {}), path.parent / FIRST_POSE)
-    folder = path.parent / str(data.get("data", "."))
-    session: Session = validated(Session, data, str(path), {"folder": folder})
-    asked = data.get("frames") != own
-    whole = validated(Session, data | {"frames": own}, str(path), {"folder": folder}) if asked else session
-    session.remember(str(path), whole.frames)
-    tracker_settings(session.tracker, str(path))
-    _check_fitting(session, str(path))
+    above = {key: value for key, value in (overrides or {}).items() if value is not None}
+    session = _set_over(data, above, path)
+    if "frames" in above:
+        session.remember(str(path), _set_over(data, above | {"frames": data.get("frames")}, path).frames)
     return session
 
 
-def _first_pose(table: Any, beside: Path) -> Any:
+def _set_over(data: Mapping[str, Any], above: Mapping[str, Any], path: Path) -> Session:
+    """The session with the values of dotted keys put over its tables; where only they are wrong, messages name them."""
+    tables = _over(data, above)
+    try:
+        return _checked(tables, path, str(path))
+    except InputError:
+        if not above or not _sound(data, path):
+            raise
+    return _checked(tables, path, f"{path}, with {', '.join(above)} set over it")
+
+
+def _over(data: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """A copy of the tables with the values of dotted keys put into them."""
+    out = deepcopy(dict(data))
+    for key, value in above.items():
+        *names, last = key.split(".")
+        table = out
+        for name in names:
+            table = table.setdefault(name, {})
+            check(f"{key} = {brief(value)}", isinstance(table, dict), f"{name!r} holds no keys; give it its own value")
+        table[last] = value
+    return out
+
+
+def _sound(data: Mapping[str, Any], path: Path) -> bool:
+    try:
+        _checked(data, path, str(path))
+    except InputError:
+        return False
+    return True
+
+
+def _checked(data: Mapping[str, Any], path: Path, source: str) -> Session:
+    """The session of its tables; `source` begins messages."""
+    given = dict(data)
+    if isinstance(given.get("body"), dict):
+        given["body"] = {"kind": "humanoid"} | given["body"]
+    given["first_pose"] = _first_pose(given.get("first_pose", {}), path.parent / FIRST_POSE, source)
+    folder = path.parent / str(given.get("data", "."))
+    session: Session = validated(Session, given, source, {"folder": folder})
+    session.remember(str(path), session.frames)
+    tracker_settings(session.tracker, source)
+    _check_fitting(session, source)
+    return session
+
+
+def _first_pose(table: Any, beside: Path, source: str) -> Any:
     """The table; where it names nothing, with the file that `twistcap init` has left beside the session."""
-    if table == "auto":
+    if isinstance(table, str):
+        check(source, table == "auto", f"'first_pose' is {brief(table)}; it must be a table, or 'auto'")
         return {"auto": True}
     if isinstance(table, dict) and beside.is_file() and not any(name in table for name in SOURCES):
         return table | {"file": str(beside.resolve())}
