@@ -101,6 +101,15 @@ def test_nobody_is_two_metres_and_sixty(tmp_path: Path, person: Posed, stature: 
         report(told, keypoints(person, rig))
 
 
+def test_legs_alone_are_of_a_person_of_the_usual_height(tmp_path: Path, person: Posed) -> None:
+    rig = ring()
+    legs = session(tmp_path, rig, body='variant = "legs"')
+    assert report(legs, keypoints(person, rig)).warnings == ()
+    small = session(tmp_path, rig, body='variant = "legs"\nstature = 1.2')
+    (sentence,) = report(small, keypoints(person, rig)).warnings
+    assert "person is 1.7" in sentence and "stature is 1.20 m" in sentence
+
+
 def test_an_exact_glb_keeps_its_lengths_and_still_tells_the_scale(tmp_path: Path, person: Posed) -> None:
     rig = ring()
     save_glb(person.body, tmp_path / "anna.glb")

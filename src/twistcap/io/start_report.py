@@ -84,6 +84,8 @@ def check_body_upright(body: Body, source: str) -> None:
 def _size_warning(session: Session, size: float, stated: float) -> list[str]:
     """A person who is much larger or smaller than stated: mostly the unit or the board's squares."""
     ratio, calibration = size / stated, f"calibration {session.cameras.calibration}"
+    if isinstance(session.body, HumanoidBody):  # of whom it may be legs alone
+        stated, size = session.body.stature, ratio * session.body.stature
     said = not isinstance(session.body, HumanoidBody) or "stature" in session.body.model_fields_set
     what = "the body of [body] is" if isinstance(session.body, GlbBody) else "[body] stature is"
     if said:
