@@ -65,12 +65,12 @@ def test_a_limb_with_a_segment_in_no_image_is_not_judged() -> None:
     none = np.zeros(len(groups), np.bool_)
     points = np.full(groups.shape[1], 20, np.int32)
     everything = Agreement(points, points.astype(float), points.astype(float))
-    assert judged(groups, everything, none).all()
+    assert judged(groups, humanoid(), everything, none).all()
     points = np.where(np.cumsum(groups[2]) == groups[2].sum(), np.where(groups[2], 0, 20), 20).astype(np.int32)
     hidden = Agreement(points, points.astype(float), points.astype(float))
     for lost in (none, ~none):
-        np.testing.assert_array_equal(judged(groups, hidden, lost), np.arange(len(groups)) != 2)
-    assert judged(groups, Agreement(0 * points, 0.0 * points, 0.0 * points), none).all()  # it cannot be all
+        np.testing.assert_array_equal(judged(groups, humanoid(), hidden, lost), np.arange(len(groups)) != 2)
+    assert judged(groups, humanoid(), Agreement(0 * points, 0.0 * points, 0.0 * points), none).all()  # it cannot be all
 
 
 def test_a_limb_that_looks_like_what_is_behind_it_is_not_judged_unless_it_is_lost() -> None:
@@ -80,9 +80,23 @@ def test_a_limb_that_looks_like_what_is_behind_it_is_not_judged_unless_it_is_los
     telling = np.full(groups.shape[1], 9.0)
     telling[groups[2]] = 7.0
     alike = Agreement(points, telling, telling)
-    np.testing.assert_array_equal(judged(groups, alike, lost), np.arange(len(groups)) != 2)
+    np.testing.assert_array_equal(judged(groups, humanoid(), alike, lost), np.arange(len(groups)) != 2)
     lost[2] = True
-    assert judged(groups, alike, lost).all()
+    assert judged(groups, humanoid(), alike, lost).all()
+
+
+def test_a_thigh_that_tells_says_nothing_of_the_shin() -> None:
+    """As a shin just below a picture does, of which a few points are in it."""
+    body = humanoid()
+    groups, none = flag_groups(body), np.zeros(len(flag_groups(body)), np.bool_)
+    shin = np.flatnonzero(groups[2])[1:]
+    points = np.full(groups.shape[1], 20, np.int32)
+    points[shin] = 5
+    telling = points.astype(float)
+    assert judged(groups, body, Agreement(points, telling, telling), none).all()
+    telling[shin] = 1.0
+    silent = Agreement(points, telling, telling)
+    np.testing.assert_array_equal(judged(groups, body, silent, none), np.arange(len(groups)) != 2)
 
 
 def test_the_deviation_of_a_segment_is_the_spread_of_its_middle() -> None:

@@ -31,6 +31,7 @@ _MARGIN = 0.05  # of the correlation over that of the next different offset
 _APART = 0.15  # s by which another offset differs
 _KEPT = 0.07  # s by which coarse offsets may differ from the given ones that are kept
 _KEYPOINTS = ""  # their name among those of the cameras: they have a clock too
+_OWN_CLOCKS = "the session's clocks"
 _Doubt = tuple[str | None, str]  # whose clock is not sure, None for all, and why
 
 
@@ -83,7 +84,14 @@ def synchronise(path: Path, start: str = "auto", count: int = 400, write: bool =
     check(f"{path}: [videos]", len(rig) > 1 or alone, mend)
     given = {name: Clock(**session.clocks[name].model_dump()) if name in session.clocks else Clock() for name in names}
     clocks, way, coarse = _coarse(session, names, given, start)
-    clocks, found = _settled(session, clocks, count)
+    try:
+        clocks, found = _settled(session, clocks, count)
+    except InputError as error:
+        if not coarse or clocks == given:
+            raise
+        words.print(f"with the clocks by {way}, which are not clear: {error} The session's clocks are tried.")
+        way = _OWN_CLOCKS
+        clocks, found = _settled(session, given, count)
     doubts = [*((None, why) for why in coarse), *found.doubts, *_vague(session, given, clocks, found)]
     sure = [name for name in (*names, _KEYPOINTS) if not any(of in (None, name) for of, _ in doubts)]
     stays = next((name for name in names if name in sure), names[0])
@@ -154,13 +162,13 @@ def _coarse(
             if _clearness(way, found[way]) > 1.0:
                 break
     if not found:
-        return given, "the session's clocks", ()
+        return given, _OWN_CLOCKS, ()
     best = max(found, key=lambda way: _clearness(way, found[way]))
     doubts = () if _clearness(best, found[best]) > 1.0 else (_doubt(best, names, found),)
     offsets = np.array([given[name].offset for name in names])
     if np.abs(found[best].offsets - (offsets - offsets[0])).max() < _KEPT:
         ambiguous = found[best].correlation.min() > _AGREE[best]
-        return given, "the session's clocks", doubts if ambiguous else ()
+        return given, _OWN_CLOCKS, doubts if ambiguous else ()
     moved = offsets[0] + found[best].offsets
     return {n: replace(given[n], offset=float(o)) for n, o in zip(names, moved, strict=True)}, best, doubts
 

@@ -88,7 +88,7 @@ def _values(name: str, dataset: Any) -> Any:
 
 def _attribute(name: str, value: Any) -> Any:
     array = np.asarray(value)
-    if array.dtype.kind == "O" or array.dtype.kind not in "biufSU":
+    if array.dtype.kind not in "biufSU":
         raise ValueError(f"{name} is of a type that no result has")
     return array
 

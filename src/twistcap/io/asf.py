@@ -83,7 +83,7 @@ def read_asf(path: Path | str) -> AsfSkeleton:
         check(str(path), needed in sections, f"not an ASF skeleton (no section :{needed})")
     units = {words[0].lower(): words[-1].lower() for _, words in sections.get("units", []) if words}
     degree = 1.0 if units.get("angle", "deg").startswith("rad") else np.pi / 180.0
-    length = finite_number(units.get("length", "1"), f"{path}: line 0")
+    length = finite_number(units.get("length", "1"), f"{path}: length in :units")
     check(str(path), 1e-4 < length < 1e4, f"the length in :units is {length:g}; it must be above 0, such as 0.45")
     unit = _INCH / length
     bones = {"root": _root(path, sections.get("root", []), degree), **_bones(path, sections["bonedata"], degree)}

@@ -65,11 +65,19 @@ def flag_groups(body: Body) -> Bool:
     return np.array([*own, rest])
 
 
-def judged(groups: Bool, agreement: Agreement, lost: Bool) -> Bool:
+def outer(groups: Bool, body: Body) -> Bool:
+    """(G, S) the segments of each group beyond its first one: of an arm the forearm and the hand."""
+    joints = np.where(groups, body.chain.sum(axis=1), np.inf)
+    return groups & (joints > joints.min(axis=1, keepdims=True))
+
+
+def judged(groups: Bool, body: Body, agreement: Agreement, lost: Bool) -> Bool:
     """(G,) groups of segments (G, S) that are judged: some image shows all of them, and they are `lost` (G,) or enough
-    of their contour points tell them from what is behind them. All where that is none.
+    of their contour points tell them from what is behind them, also of those beyond the first segment: a thigh says
+    nothing of the shin. All where that is none.
     """
-    telling = groups @ agreement.telling >= _CONTRAST * (groups @ agreement.points)
+    parts = groups, outer(groups, body)
+    telling = np.all([p @ agreement.telling >= _CONTRAST * (p @ agreement.points) for p in parts], axis=0)
     known = ~(groups & (agreement.points == 0)).any(axis=1) & (telling | lost)
     return np.asarray(known if known.any() else ~known, np.bool_)
 

@@ -183,7 +183,7 @@ def _loss(state: State, model: Model, fit: Fit) -> tuple[Float, float]:
         signs, lately = memory.signs, memory.lately
     deviation = segment_deviations(fit.posed, state.covariance)
     limbs = model.flag.limbs(signs, lately, np.array([deviation[group].max() for group in groups]))
-    said = judged(groups, fit.agreement, limbs >= model.flag.lost)
+    said = judged(groups, model.body, fit.agreement, limbs >= model.flag.lost)
     return np.where(said, limbs, np.nan)[groups.argmax(axis=0)], model.flag.whole(limbs[said], signs)
 
 
