@@ -92,6 +92,29 @@ def test_only_clocks_that_are_sure_are_written(
     assert session.read_text() == text and "the body was lost in 50 % of the frames" in found["unsure"]
 
 
+@pytest.mark.parametrize("doubts", [("it fits at several offsets",), ()])
+def test_where_no_track_begins_with_clocks_that_are_not_clear_the_sessions_are_tried(
+    walk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], doubts: tuple[str, ...]
+) -> None:
+    rough = {f"cam0{c}": Clock(0.1 * c) for c in range(1, 5)}
+
+    def one_pass(_: object, clocks: dict[str, Clock], count: int) -> Any:
+        if clocks == rough:
+            raise InputError("the cameras agree on no person.")
+        return sync._Pass(np.zeros(4), np.full(4, 0.01) / FPS, 1 / FPS, 24, (), (0, 35), None)  # pyright: ignore[reportPrivateUsage]
+
+    monkeypatch.setattr(sync, "_one_pass", one_pass)
+    monkeypatch.setattr(sync, "_coarse", lambda *_: (rough, "motion", doubts))
+    if not doubts:  # then it is not the clocks' fault
+        assert "agree on no person" in refusal(capsys, "sync", walk)
+        return
+    assert run("sync", walk, "--dry-run") == 0
+    assert "by motion, which are not clear" in " ".join(capsys.readouterr().err.split())
+    found = document(capsys, "sync", walk)
+    assert (found["began_with"], found["written"]) == ("the session's clocks", False)
+    assert found["unsure"] == list(doubts) and all(row["after_s"] == 0.0 for row in found["cameras"])
+
+
 def test_what_a_clock_moves_in_the_last_pass_is_part_of_its_claim_and_much_is_not_sure(
     walk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
