@@ -173,7 +173,10 @@ def test_text_says_how_it_is_encoded(tmp_path: Path, encoding: str) -> None:
     [
         ("a = foo", "write texts in quotes"),
         ('a = "C:\\videos"', "write / for"),
-        ("a = 1,5", "numbers with a decimal point"),
+        ('a = "C:\\Users\\me"', "write / for"),
+        ('a = "x', "with the quote that it began with"),
+        ("a = .5", "0.5 for .5"),
+        ("a = 1,5", "1.5 for 1,5"),
         ("a = 1\na = 2", "may stand once"),
         ("my key = 3", "write key = value"),
         ("a = [1", "mend it there"),

@@ -12,9 +12,10 @@ import pytest
 from support.cameras import ring
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
+from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.io.keypoints import LAYOUTS, read_openpose, read_people
-from twistcap.io.people import same_person
+from twistcap.io.people import check_arrangement, same_person
 from twistcap.io.recording import keypoints_of
 from twistcap.io.session import KeypointSet
 
@@ -28,13 +29,14 @@ def standing(x: float, y: float, bend: float = 0.3) -> Posed:
     return Posed(BODY, Pose(root, q))
 
 
-def seen(posed: Posed, layout: str, rng: np.random.Generator) -> np.ndarray:
+def seen(posed: Posed, layout: str, rng: np.random.Generator, rig: Rig | None = None) -> np.ndarray:
     """(C, L, 3) as a detector writes it; 0 where the body lacks a name."""
     marks = dict(zip(BODY.landmarks.names, posed.landmarks, strict=True))
-    out = np.zeros((len(ring()), len(LAYOUTS[layout]), 3))
+    rig = ring() if rig is None else rig
+    out = np.zeros((len(rig), len(LAYOUTS[layout]), 3))
     for k, name in enumerate(LAYOUTS[layout]):
         if name in marks:
-            for c, camera in enumerate(ring()):
+            for c, camera in enumerate(rig):
                 out[c, k] = [*(camera.project(marks[name][None])[0][0] + rng.standard_normal(2)), 0.9]
     return out
 
@@ -98,7 +100,7 @@ def test_cameras_whose_keypoints_are_exchanged_are_named(a: int, b: int) -> None
     one, other = (seen(standing(x, y), "halpe_26", rng) for x, y in ((-0.5, 0.2), (0.3, 0.8)))
     for people in ([one[c][None] for c in range(4)], [np.stack([one[c], other[c]]) for c in range(4)]):
         with pytest.raises(InputError, match=f"only if .*{rig.names[a]} and {rig.names[b]}.* are exchanged") as told:
-            same_person(rig, exchanged(people, a, b))
+            check_arrangement(rig, exchanged(people, a, b))
         assert (", or " in str(told.value)) == (b - a == 2)
 
 
@@ -106,7 +108,40 @@ def test_a_camera_that_shows_somebody_else_is_not_exchanged() -> None:
     rng = np.random.default_rng(6)
     one, other = (seen(standing(x, y), "halpe_26", rng) for x, y in ((-0.5, 0.2), (0.7, -0.3)))
     people = [other[0][None], *(one[c][None] for c in (1, 2, 3))]
+    check_arrangement(ring(), people)
     assert same_person(ring(), people)[0] == (None, 0, 0, 0)
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_exchanged_cameras_of_other_numbers(count: int) -> None:
+    """Two may agree by chance; a camera without people, or with nothing detected, is not asked."""
+    rig, person = ring(count), seen(standing(-0.5, 0.2), "halpe_26", np.random.default_rng(7), ring(count))
+    people = [person[c][None] for c in range(count)]
+    check_arrangement(rig, people)
+    if count == 2:
+        check_arrangement(rig, exchanged(people, 0, 1))
+        return
+    with pytest.raises(InputError, match=r"only if cam0 and cam1.* are exchanged"):
+        check_arrangement(rig, exchanged(people, 0, 1))
+    if count == 5:
+        nobody = [*exchanged(people, 0, 1)[:3], np.zeros((0, 26, 3)), 0.0 * people[4]]
+        with pytest.raises(InputError, match=r"only if cam0 and cam1.* are exchanged"):
+            check_arrangement(rig, nobody)
+
+
+def test_exchanged_cameras_are_refused_at_the_start_and_nowhere_else(tmp_path: Path) -> None:
+    """Later on three cameras of five that are right go on giving keypoints."""
+    rig = ring(5)
+    person = seen(standing(-0.5, 0.2), "halpe_26", np.random.default_rng(8), rig)
+    for c, name in enumerate(rig.names):
+        people = [{"pose_keypoints_2d": person[{0: 1, 1: 0}.get(c, c)].ravel().tolist()}]
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "000000.json").write_text(json.dumps({"people": people}))
+    table = KeypointSet(format="halpe_26", folders={n: str(tmp_path / n) for n in rig.names})
+    with pytest.raises(InputError, match=r"only if cam0 and cam1.* are exchanged"):
+        keypoints_of(table, rig)
+    (found,) = keypoints_of(table, rig, first=False)
+    np.testing.assert_array_equal((found.confidence > 0).any(axis=1), [False, False, True, True, True])
 
 
 def test_folders_of_a_session(tmp_path: Path) -> None:

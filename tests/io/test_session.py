@@ -55,6 +55,7 @@ def test_where_no_first_pose_is_given_it_is_looked_for(path: Path, table: str) -
     text = path.read_text().replace('[first_pose]\nfile = "pose.json"\n', "")
     path.write_text(f"{table}\n{text}" if "=" in table and "[" not in table else f"{text}\n{table}\n")
     assert load_session(path).first_pose.unaided
+    assert load_session(path, {"first_pose.fit_lengths": False}).first_pose.fit_lengths is False
     (path.parent / "first_pose.json").write_text("{}")
     assert load_session(path).first_pose.unaided is ("auto" in table)
 
@@ -159,6 +160,8 @@ def test_what_the_command_line_says_wrong_is_not_the_files_fault(
 ) -> None:
     with pytest.raises(InputError, match=message):
         load_session(path, {key: value, "fps": 25.0})
+    with pytest.raises(InputError, match=r"with scale, fps, step, … set over it: 'scale'"):
+        load_session(path, {"scale": -1, "fps": 25.0, "step": 2, "time_offset": 0.1})
     with pytest.raises(InputError, match=r"s\.toml: unknown key 'fpz'"):  # the file's own goes first
         load_session(changed(path, "fps", "fpz"), {"scale": 0.5})
 

@@ -104,7 +104,10 @@ def test_nobody_is_two_metres_and_sixty(tmp_path: Path, person: Posed, stature: 
 def test_legs_alone_are_of_a_person_of_the_usual_height(tmp_path: Path, person: Posed) -> None:
     rig = ring()
     legs = session(tmp_path, rig, body='variant = "legs"')
-    assert report(legs, keypoints(person, rig)).warnings == ()
+    found = report(legs, keypoints(person, rig))
+    assert (
+        found.warnings == () and found.stated == pytest.approx(1.75) and found.stature == pytest.approx(1.75, abs=0.1)
+    )
     small = session(tmp_path, rig, body='variant = "legs"\nstature = 1.2')
     (sentence,) = report(small, keypoints(person, rig)).warnings
     assert "person is 1.7" in sentence and "stature is 1.20 m" in sentence

@@ -17,6 +17,7 @@ from twistcap.search.flag import (
     image_signs,
     judged,
     log_odds,
+    outer_halves,
     ramps,
     segment_deviations,
     support_signs,
@@ -89,7 +90,8 @@ def test_a_thigh_that_tells_says_nothing_of_the_shin() -> None:
     """As a shin just below a picture does, of which a few points are in it."""
     body = humanoid()
     groups, none = flag_groups(body), np.zeros(len(flag_groups(body)), np.bool_)
-    shin = np.flatnonzero(groups[2])[1:]
+    shin = np.flatnonzero(outer_halves(groups, body)[2])
+    assert len(shin) == 2
     points = np.full(groups.shape[1], 20, np.int32)
     points[shin] = 5
     telling = points.astype(float)
@@ -97,6 +99,13 @@ def test_a_thigh_that_tells_says_nothing_of_the_shin() -> None:
     telling[shin] = 1.0
     silent = Agreement(points, telling, telling)
     np.testing.assert_array_equal(judged(groups, body, silent, none), np.arange(len(groups)) != 2)
+
+
+def test_the_outer_half_of_an_arm_is_the_forearm_also_with_a_clavicle() -> None:
+    for body in (humanoid(), humanoid(clavicles=True)):
+        outer = outer_halves(flag_groups(body), body)
+        names = {tuple(n for n, own in zip(body.segment_names, half, strict=True) if own) for half in outer}
+        assert {("ulna_r", "radius_r"), ("tibia_l", "foot_l"), ("head",), ("torso",)} <= names
 
 
 def test_the_deviation_of_a_segment_is_the_spread_of_its_middle() -> None:

@@ -302,7 +302,7 @@ def _keypoint_clock(session: Any, recording: Any, poses: tuple[Any, ...], lags: 
     numbers = [k for k in views.indices if k < files]
     if len(numbers) < 24:
         return None
-    keypoints = keypoints_of(table.model_copy(update={"frames": tuple(numbers)}), recording.rig, views)
+    keypoints = keypoints_of(table.model_copy(update={"frames": tuple(numbers)}), recording.rig, views, first=False)
     track = PoseTrack(poses[: len(numbers)], np.arange(len(numbers), dtype=float))
     return keypoint_clock(recording.body, recording.rig, track, keypoints, lags[:, : len(numbers)])
 

@@ -19,15 +19,21 @@ from twistcap.errors import InputError
 LARGEST = 1 << 26  # bytes of a text file, unpacked
 _DEEPEST = 40  # tables and lists in one another
 _GREATEST = 1 << 53  # whole numbers beyond it are none that we count or measure
+_BACKSLASH = "write / for \\, or the text in single quotes"
+_QUOTES = "a text ends on its line, with the quote that it began with"
 _TOML_MENDS = {
-    "Invalid value": "write texts in quotes, and true and false in small letters",
-    "Unescaped": "write / for \\, or the text in single quotes",
-    "Illegal character": "texts end on their line, with the quote that they began with",
-    "Expected newline": "one value to a line, numbers with a decimal point",
+    "Invalid value": "write texts in quotes, true and false in small letters, and 0.5 for .5",
+    "Unescaped": _BACKSLASH,
+    "Invalid hex value": _BACKSLASH,
+    "Escaped character": _BACKSLASH,
+    "Illegal character": _QUOTES,
+    "Unterminated": _QUOTES,
+    "Found invalid character": _QUOTES,
+    "Expected newline": "write one value, texts in quotes, and 1.5 for 1,5",
     "Cannot": "each key and each table may stand once",
     "Expected '='": "write key = value, and keys with other characters than letters, digits, - and _ in quotes",
 }
-"""What begins a fault that the parser tells, and what its users most often meant."""
+"""Words of a fault that the parser tells, and what its users most often meant."""
 
 
 def read_bytes(path: Path, most: int = LARGEST) -> bytes:

@@ -49,15 +49,18 @@ def check_detector(name: str, people: str | None) -> None:
         detector(name)
 
 
-def detected(name: str, images: Sequence[UInt8 | None], rig: Rig, people: str | None = None) -> Keypoints:
+def detected(
+    name: str, images: Sequence[UInt8 | None], rig: Rig, people: str | None = None, first: bool = True
+) -> Keypoints:  # fmt: skip
     """What a detector finds in one image of each camera; None is a camera without one, for model files alone.
 
     `name` is a model file, as in `io.model_file`, or an installed detector; `people` a model file that finds people.
+    With a model file, cameras that are exchanged are refused where the `first` pose is to be found.
     Raises InputError as `detector` and `load_detector`, and for an answer that is no `Keypoints` of this rig;
     NoKeypoints where nobody is found in two views, or an image is missing.
     """
     if is_model_file(name):
-        return detected_by_model(load_detector(name, people), images, rig)
+        return detected_by_model(load_detector(name, people), images, rig, first)
     if people is not None:
         raise InputError(f"detector {name!r} is no model file, so it takes no people; remove that key.")
     offered_by = detector(name)

@@ -38,6 +38,6 @@ class KeypointSource:
     def _of(self, index: int) -> Keypoints:
         rig, views = self.views.rig, self.views
         if isinstance(self.table, DetectorTable):
-            return detections_of(self.table.model_copy(update={"frames": (index,)}), rig, views)[0]
+            return detections_of(self.table.model_copy(update={"frames": (index,)}), rig, views, first=False)[0]
         file = {"frames": (round(index - self.table.offset),), "person": "auto"}
-        return keypoints_of(self.table.model_copy(update=file), rig, views)[0]
+        return keypoints_of(self.table.model_copy(update=file), rig, views, first=False)[0]

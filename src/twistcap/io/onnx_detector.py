@@ -21,7 +21,7 @@ from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
 from twistcap.io.keypoints import LAYOUTS, NoKeypoints, of_people
 from twistcap.io.model_file import model_bytes
-from twistcap.io.people import same_person
+from twistcap.io.people import check_arrangement, same_person
 
 Family = Literal["RTMPose", "RTMO", "YOLOX"]
 _LAYOUTS = {17: "coco_17", 26: "halpe_26", 133: "coco_133"}
@@ -179,10 +179,12 @@ def _letter(network: Network, image: UInt8) -> tuple[AnyArray, float]:
     return picture, zoom
 
 
-def detected_by_model(detector: OnnxDetector, images: Sequence[UInt8 | None], rig: Rig) -> Keypoints:
+def detected_by_model(
+    detector: OnnxDetector, images: Sequence[UInt8 | None], rig: Rig, first: bool = True
+) -> Keypoints:  # fmt: skip
     """The keypoints of the person on whom the views agree, in images as recorded; None is a camera without one.
 
-    Raises NoKeypoints where nobody is seen by two cameras.
+    Raises NoKeypoints where nobody is seen by two cameras, and for the `first` pose InputError as `check_arrangement`.
     """
     people = [np.zeros((0, 0, 3)) if image is None else detector.people(image) for image in images]
     empty = [name for name, found in zip(rig.names, people, strict=True) if not len(found)]
@@ -191,5 +193,7 @@ def detected_by_model(detector: OnnxDetector, images: Sequence[UInt8 | None], ri
         raise NoKeypoints(f"model {detector.pose.name} {nobody}; choose another frame, or click the first pose.")
     layout = _LAYOUTS[max(found.shape[1] for found in people)]
     people = [found if len(found) else np.zeros((0, len(LAYOUTS[layout]), 3)) for found in people]
+    if first:
+        check_arrangement(rig, people)
     choice, _ = same_person(rig, people)
     return of_people(people, choice, layout)

@@ -10,7 +10,7 @@ import numpy as np
 from twistcap.adjust.first_pose.triangulate import nearest_points
 from twistcap.arrays import Bool, Float
 from twistcap.camera import Rig
-from twistcap.io.keypoints import NoKeypoints
+from twistcap.errors import InputError
 
 _REACH, _LEAST = 0.05, 3.0  # px that agree: a fraction of the person's height in the image, and at least
 _ENOUGH = 0.5  # of the joints seen twice that must agree, else a view does not show the person
@@ -29,13 +29,31 @@ def same_person(
     two cameras proposes joints in space, and all views vote. `pinned` are people that the user names, by camera, where
     that camera has people; `before` (L, 3) are the joints in the frame before, which must be near. Where no pair
     agrees, the first is taken.
-
-    Raises NoKeypoints where all agree as soon as two cameras are exchanged, as when their videos are.
     """
-    score, choice, points = _agreed(rig, people, pinned or {}, before)
-    if not pinned:
-        _check_exchanged(rig, people, before, choice, score)
-    return choice, points
+    return _agreed(rig, people, pinned or {}, before)[1:]
+
+
+def check_arrangement(rig: Rig, people: Sequence[Float]) -> None:
+    """Raises InputError where one person is in all views as soon as two cameras are exchanged, as if their videos were.
+
+    Asked of three cameras or more: what two show of different people or times may agree by chance. People are (P, L, 3)
+    by camera, as `same_person` takes them.
+    """
+    showing = [c for c, persons in enumerate(people) if np.any(persons[..., 2] > 0.0)]
+    score, choice, _ = _agreed(rig, people, {}, None)
+    if len(showing) < 3 or (score > 0 and all(choice[c] is not None for c in showing)):
+        return
+    found = dict[str, float]()
+    for c, d in combinations(showing, 2):
+        given = [people[{c: d, d: c}.get(k, k)] for k in range(len(rig))]
+        better, chosen, _ = _agreed(rig, given, {}, None)
+        if all(chosen[k] is not None for k in showing):
+            found[f"{rig.names[c]} and {rig.names[d]}"] = better
+    best = max(found.values(), default=0.0)
+    if best > _CLEAR * score:  # of four in a ring, either two that face each other
+        pairs = ", or ".join(name for name, value in found.items() if value > best / _CLEAR)
+        mend = "give each camera its own video, keypoints and calibration"
+        raise InputError(f"[first_pose]: the keypoints of all cameras agree only if {pairs} are exchanged; {mend}.")
 
 
 def _agreed(
@@ -60,23 +78,6 @@ def _agreed(
         first = tuple(a[0] if a else None for a in allowed)
         return 0.0, first, np.full((people[0].shape[1], 3), np.nan)
     return best
-
-
-def _check_exchanged(rig: Rig, people: Sequence[Float], before: Float | None, choice: Choice, score: float) -> None:
-    """Raises NoKeypoints where some camera shows nobody on whom the others agree, unless two are exchanged."""
-    if score > 0 and all(chosen is not None for p, chosen in zip(people, choice, strict=True) if len(p)):
-        return
-    found = dict[str, float]()
-    for c, d in combinations([k for k, p in enumerate(people) if len(p)], 2):
-        given = [people[{c: d, d: c}.get(k, k)] for k in range(len(rig))]
-        better, chosen, _ = _agreed(rig, given, {}, before)
-        if all(who is not None for p, who in zip(given, chosen, strict=True) if len(p)):
-            found[f"{rig.names[c]} and {rig.names[d]}"] = better
-    best = max(found.values(), default=0.0)
-    if best > _CLEAR * score:  # of four in a ring, either two that face each other
-        pairs = ", or ".join(name for name, value in found.items() if value > best / _CLEAR)
-        mend = "give each camera its own video and calibration"
-        raise NoKeypoints(f"the keypoints of all cameras agree only if {pairs} are exchanged; {mend}.")
 
 
 def _allowed(count: int, pinned: int | None) -> list[int]:

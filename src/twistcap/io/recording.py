@@ -36,7 +36,7 @@ from twistcap.io.keypoints import (
     read_people,
 )
 from twistcap.io.masks import read_masks, rectified_masks
-from twistcap.io.people import same_person
+from twistcap.io.people import check_arrangement, same_person
 from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
 from twistcap.io.session import CameraGrid, DetectorTable, GlbBody, HumanoidBody, KeypointSet, Session
@@ -301,11 +301,14 @@ def _with_girths(session: Session, rig: Rig, start: _Start) -> _Start:
     return replace(start, body=fitted.body)
 
 
-def keypoints_of(table: KeypointSet, rig: Rig, views: Views | None = None) -> Sequence[Keypoints]:
+def keypoints_of(
+    table: KeypointSet, rig: Rig, views: Views | None = None, first: bool = True
+) -> Sequence[Keypoints]:  # fmt: skip
     """The keypoints of every instant of a set.
 
     With the frames of a recording, `table.frames` count the images of the camera whose images are its frames; the
-    others' files are those of the same time.
+    others' files are those of the same time. Where they are to give the `first` pose, cameras that are exchanged are
+    refused; later on some may show nobody.
     """
     pinned = table.person if isinstance(table.person, dict) else {}
     for name in (*table.folders, *table.grid, *pinned):
@@ -321,14 +324,16 @@ def keypoints_of(table: KeypointSet, rig: Rig, views: Views | None = None) -> Se
         for name, persons in zip(rig.names, people, strict=True):
             if name in pinned and len(persons):
                 check_person(files[name], pinned[name], len(persons))
+        if first and not pinned:
+            check_arrangement(rig, people)
         choice, joints = same_person(rig, people, pinned, before)
         before = joints if np.isfinite(joints).any() else before
         out.append(of_people(people, choice, table.format))
     return out
 
 
-def detections_of(table: DetectorTable, rig: Rig, views: Views) -> list[Keypoints]:
-    """What a detector finds in each of its frames, by default the first one.
+def detections_of(table: DetectorTable, rig: Rig, views: Views, first: bool = True) -> list[Keypoints]:
+    """What a detector finds in each of its frames, by default the first one; `first` as `keypoints_of` takes it.
 
     Raises InputError as `detected`, or for a frame after the end.
     """
@@ -337,7 +342,7 @@ def detections_of(table: DetectorTable, rig: Rig, views: Views) -> list[Keypoint
         raise InputError(
             f"[first_pose] detector: frame {max(frames)} is after the end of the video; name earlier ones."
         )
-    return [detected(table.model, views.recorded(frame), rig, table.people) for frame in frames]
+    return [detected(table.model, views.recorded(frame), rig, table.people, first) for frame in frames]
 
 
 def _files_at(table: KeypointSet, rig: Rig, frame: int, views: Views | None) -> dict[str, Path]:

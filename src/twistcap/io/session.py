@@ -52,6 +52,9 @@ __all__ = [
 ]  # fmt: skip
 
 
+_NAMED = 3  # keys of the command line, at most, that a message names
+
+
 class Session(Table):
     """A recording and how to track it."""
 
@@ -171,12 +174,15 @@ def _set_over(data: Mapping[str, Any], above: Mapping[str, Any], path: Path) -> 
     except InputError:
         if not above or not _sound(data, path):
             raise
-    return _checked(tables, path, f"{path}, with {', '.join(above)} set over it")
+    keys = [*above][:_NAMED] + ["…"] * (len(above) > _NAMED)
+    return _checked(tables, path, f"{path}, with {', '.join(keys)} set over it")
 
 
 def _over(data: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
     """A copy of the tables with the values of dotted keys put into them."""
     out = deepcopy(dict(data))
+    if out.get("first_pose") == "auto":
+        out["first_pose"] = {"auto": True}
     for key, value in above.items():
         *names, last = key.split(".")
         table = out

@@ -59,9 +59,10 @@ class StartReport:
 
 def start_report(session: Session, rig: Rig, generic: Body, keypoints: Keypoints, fit: FirstPose) -> StartReport:
     """What a fit became, against the body before it. Raises InputError for a person of impossible size."""
-    stated = rest_height(generic)
-    stature = rest_height(fit.body)
-    size = stature if session.fits_lengths else rest_height(fit_keypoints(generic, rig, keypoints).body)
+    stated = session.body.stature if isinstance(session.body, HumanoidBody) else rest_height(generic)
+    whole = stated / rest_height(generic)  # of whom the body may be the legs alone
+    stature = whole * rest_height(fit.body)
+    size = stature if session.fits_lengths else whole * rest_height(fit_keypoints(generic, rig, keypoints).body)
     lengths = {unsided(name): factor for name, factor in fit.proportions.lengths.items()}
     warnings = [*_size_warning(session, size, stated), *_residual_warnings(session, generic, rig, keypoints, fit)]
     return StartReport(fit.cameras, fit.names, fit.residual_px, stature, stated, lengths, tuple(warnings))
@@ -84,8 +85,6 @@ def check_body_upright(body: Body, source: str) -> None:
 def _size_warning(session: Session, size: float, stated: float) -> list[str]:
     """A person who is much larger or smaller than stated: mostly the unit or the board's squares."""
     ratio, calibration = size / stated, f"calibration {session.cameras.calibration}"
-    if isinstance(session.body, HumanoidBody):  # of whom it may be legs alone
-        stated, size = session.body.stature, ratio * session.body.stature
     said = not isinstance(session.body, HumanoidBody) or "stature" in session.body.model_fields_set
     what = "the body of [body] is" if isinstance(session.body, GlbBody) else "[body] stature is"
     if said:

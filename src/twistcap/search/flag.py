@@ -65,18 +65,20 @@ def flag_groups(body: Body) -> Bool:
     return np.array([*own, rest])
 
 
-def outer(groups: Bool, body: Body) -> Bool:
-    """(G, S) the segments of each group beyond its first one: of an arm the forearm and the hand."""
-    joints = np.where(groups, body.chain.sum(axis=1), np.inf)
-    return groups & (joints > joints.min(axis=1, keepdims=True))
+def outer_halves(groups: Bool, body: Body) -> Bool:
+    """(G, S) the segments in the outer half of each group, counted from the root: of an arm the forearm and the hand,
+    of the trunk the torso.
+    """
+    joints = body.chain.sum(axis=1)
+    return groups & (joints >= np.array([np.median(joints[own]) if own.any() else 0 for own in groups])[:, None])
 
 
 def judged(groups: Bool, body: Body, agreement: Agreement, lost: Bool) -> Bool:
     """(G,) groups of segments (G, S) that are judged: some image shows all of them, and they are `lost` (G,) or enough
-    of their contour points tell them from what is behind them, also of those beyond the first segment: a thigh says
-    nothing of the shin. All where that is none.
+    of their contour points tell them from what is behind them, also of those of the outer half: a thigh says nothing of
+    the shin. All where that is none.
     """
-    parts = groups, outer(groups, body)
+    parts = groups, outer_halves(groups, body)
     telling = np.all([p @ agreement.telling >= _CONTRAST * (p @ agreement.points) for p in parts], axis=0)
     known = ~(groups & (agreement.points == 0)).any(axis=1) & (telling | lost)
     return np.asarray(known if known.any() else ~known, np.bool_)
