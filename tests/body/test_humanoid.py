@@ -10,6 +10,7 @@ from support.twins import check_twin
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.kinematics import chain_reference, points_at, skin_points_reference
+from twistcap.body.model import partners
 from twistcap.errors import InputError
 
 H = 1.75
@@ -195,3 +196,19 @@ def test_bad_wishes_are_named() -> None:
         humanoid(stature=-1.0)
     with pytest.raises(InputError, match="tail"):
         humanoid(lengths={"tail": 2.0})
+
+
+def test_each_segment_has_two_halves_that_mirror_those_of_the_other_side() -> None:
+    body = humanoid("full")
+    halves, names = body.vertex_half, body.segment_names
+    np.testing.assert_array_equal(halves // 2, body.vertex_part)
+    np.testing.assert_array_equal(body.face_half // 2, body.face_part)
+    for name in ("humerus_l", "femur_r", "tibia_l"):
+        s = names.index(name)
+        near, far = (body.vertices[halves == 2 * s + k] for k in (0, 1))
+        assert abs(len(near) - len(far)) <= 1
+        away = [np.linalg.norm(points - body.joint_origins[s], axis=1) for points in (near, far)]
+        assert away[0].max() <= away[1].min()
+    for s, other in enumerate(partners(names)):
+        counts = [np.count_nonzero(halves == 2 * k + 1) for k in (s, other)]
+        assert abs(counts[0] - counts[1]) <= 1

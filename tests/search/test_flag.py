@@ -17,7 +17,7 @@ from twistcap.search.flag import (
     image_signs,
     judged,
     log_odds,
-    outer_halves,
+    outer_segments,
     ramps,
     segment_deviations,
     support_signs,
@@ -90,7 +90,7 @@ def test_a_thigh_that_tells_says_nothing_of_the_shin() -> None:
     """As a shin just below a picture does, of which a few points are in it."""
     body = humanoid()
     groups, none = flag_groups(body), np.zeros(len(flag_groups(body)), np.bool_)
-    shin = np.flatnonzero(outer_halves(groups, body)[2])
+    shin = np.flatnonzero(outer_segments(groups, body)[2])
     assert len(shin) == 2
     points = np.full(groups.shape[1], 20, np.int32)
     points[shin] = 5
@@ -103,7 +103,7 @@ def test_a_thigh_that_tells_says_nothing_of_the_shin() -> None:
 
 def test_the_outer_half_of_an_arm_is_the_forearm_also_with_a_clavicle() -> None:
     for body in (humanoid(), humanoid(clavicles=True)):
-        outer = outer_halves(flag_groups(body), body)
+        outer = outer_segments(flag_groups(body), body)
         names = {tuple(n for n, own in zip(body.segment_names, half, strict=True) if own) for half in outer}
         assert {("ulna_r", "radius_r"), ("tibia_l", "foot_l"), ("head",), ("torso",)} <= names
 

@@ -99,7 +99,7 @@ def test_places_count_by_the_pixels_that_a_body_covers_there() -> None:
     """As many points of a body twice as far away show it, but a quarter of the pixels."""
     scene, _ = walk()
     views = [
-        EvidenceView(i, camera, np.ones((len(scene.body.segment_names), *camera.size[::-1]), np.float32))
+        EvidenceView(i, camera, np.ones((2 * len(scene.body.segment_names), *camera.size[::-1]), np.float32))
         for i, camera in enumerate(scene.rig)
     ]
     camera, middle = scene.rig[0], scene.first_pose.root[:3, 3]
@@ -116,7 +116,7 @@ def test_a_body_near_a_camera_counts_no_more_than_from_half_as_far_as_it_was() -
     """It fills the picture, and in noise it would outweigh all other cameras."""
     scene, _ = walk()
     camera, pose = scene.rig[0], scene.first_pose
-    maps = np.ones((len(scene.body.segment_names), *camera.size[::-1]), np.float32)
+    maps = np.ones((2 * len(scene.body.segment_names), *camera.size[::-1]), np.float32)
     towards = -camera.T_cam_world[2, :3] * 0.5 * (camera.T_cam_world[2] @ pose.root[:, 3])
     near = Pose(se3.transform(pose.root[:3, :3], pose.root[:3, 3] + towards), pose.q)
     far = Pose(se3.transform(pose.root[:3, :3], pose.root[:3, 3] - towards), pose.q)

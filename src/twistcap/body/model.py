@@ -127,6 +127,26 @@ class Body:
         return np.where(b == c, b, a).astype(np.int32)
 
     @cached_property
+    def vertex_half(self) -> Int:
+        """(V,) the half of a segment that each vertex is in: 2 s is that of segment s nearer to its joint, 2 s + 1 the
+        other.
+        """
+        away = np.linalg.norm(self.vertices - self.joint_origins[self.vertex_part], axis=1)
+        out = 2 * self.vertex_part
+        for s in np.unique(self.vertex_part):
+            own = self.vertex_part == s
+            out[own] += away[own] > np.median(away[own])
+        return out
+
+    @cached_property
+    def face_half(self) -> Int:
+        """(F,) the same of each triangle, by the majority of its corners in its `face_part`."""
+        corners = self.vertex_half[self.faces]
+        outer = np.count_nonzero(corners == 2 * self.face_part[:, None] + 1, axis=1)
+        inner = np.count_nonzero(corners == 2 * self.face_part[:, None], axis=1)
+        return 2 * self.face_part + (outer > inner).astype(np.int32)
+
+    @cached_property
     def segment_parent(self) -> Int:
         """(S,) the nearest segment towards the root, -1 for root segments."""
         carried = {int(j): s for s, j in enumerate(self.segment_joint)}

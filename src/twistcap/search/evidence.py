@@ -28,7 +28,8 @@ class EvidenceView:
     Attributes:
         index: of the camera in the rig.
         camera: of the small image.
-        maps: (S, h, w) nats by which each pixel speaks for each part and against the background.
+        maps: (2 S, h, w) nats by which each pixel speaks for each half of a part (`Body.vertex_half`) and against the
+            background.
         nearest: m; a body that is nearer to the camera counts as from there. It covers more pixels, of which none knows
             more than those of a small picture, and in noise it would outweigh all other cameras.
     """
@@ -45,11 +46,17 @@ class EvidenceView:
 
     def by_part(self, posed: Posed) -> Float:
         """(2, S) nats for each part of a body, and the number of its pixels."""
-        return self.share(posed.pose) * np.array(covered_evidence(self.maps, render(posed, self.camera).part))
+        found = np.array(covered_evidence(self.maps, render(posed, self.camera).half))
+        return self.share(posed.pose) * of_parts(found)
 
     def share(self, pose: Pose) -> float:
         """What its pixels count for a body at a pose, 0 to 1."""
         return min(1.0, (depth_of(self.camera, pose) / self.nearest) ** 2) if self.nearest > 0.0 else 1.0
+
+
+def of_parts(values: Float) -> Float:
+    """(..., S) sums over the two halves of each part, of values (..., 2 S)."""
+    return values.reshape(*values.shape[:-1], -1, 2).sum(axis=-1)
 
 
 def depth_of(camera: Camera, pose: Pose) -> float:

@@ -65,7 +65,7 @@ def flag_groups(body: Body) -> Bool:
     return np.array([*own, rest])
 
 
-def outer_halves(groups: Bool, body: Body) -> Bool:
+def outer_segments(groups: Bool, body: Body) -> Bool:
     """(G, S) the segments in the outer half of each group, counted from the root: of an arm the forearm and the hand,
     of the trunk the torso.
     """
@@ -78,7 +78,7 @@ def judged(groups: Bool, body: Body, agreement: Agreement, lost: Bool) -> Bool:
     of their contour points tell them from what is behind them, also of those of the outer half: a thigh says nothing of
     the shin. All where that is none.
     """
-    parts = groups, outer_halves(groups, body)
+    parts = groups, outer_segments(groups, body)
     telling = np.all([p @ agreement.telling >= _CONTRAST * (p @ agreement.points) for p in parts], axis=0)
     known = ~(groups & (agreement.points == 0)).any(axis=1) & (telling | lost)
     return np.asarray(known if known.any() else ~known, np.bool_)

@@ -108,7 +108,7 @@ class Placing:
         """(N,) evidence of a body's points (P, 3) at each of the offsets (N, 3), by the pixels that its
         surface covers: what is far away covers few. With `any_part`, any part may be anywhere on the body.
         """
-        part = np.zeros(len(points), np.int32) if any_part else self.body.vertex_part[self._sample]
+        part = np.zeros(len(points), np.int32) if any_part else self.body.vertex_half[self._sample]
         out = np.zeros(len(offsets))
         for view in self.evidence.views:
             maps, area = view.any_part if any_part else view.maps, view.camera.K[0, 0] * view.camera.K[1, 1]
