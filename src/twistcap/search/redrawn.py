@@ -82,7 +82,7 @@ def _still(view: EvidenceView, posed: Posed, faces: Bool) -> _Still:
 
 
 def drawn(body: Body, faces: Bool, pixels: Float, nearness: Float, size: tuple[int, int]) -> tuple[Int, Float32]:
-    """(h, w) half of a segment that some faces (F,) show, −1 for none, and its nearness, see `render.raster.rasterise`."""
+    """(h, w) half of a segment that some faces (F,) show, −1 for none, and its nearness, as `rasterise` gives it."""
     face, image = rasterise(pixels, nearness, body.faces[faces], (0, 0), size)
     return np.append(body.face_half[faces], np.int32(-1))[face], image  # −1 picks the last one
 
