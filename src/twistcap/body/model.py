@@ -128,14 +128,17 @@ class Body:
 
     @cached_property
     def vertex_half(self) -> Int:
-        """(V,) the half of a segment that each vertex is in: 2 s is that of segment s nearer to its joint, 2 s + 1 the
-        other.
+        """(V,) the half of a segment, along its longest direction, that each vertex is in: 2 s is that of segment s
+        nearer to its parent, 2 s + 1 the other.
         """
-        away = np.linalg.norm(self.vertices - self.joint_origins[self.vertex_part], axis=1)
-        out = 2 * self.vertex_part
+        out, middles = 2 * self.vertex_part, self.segment_middles
         for s in np.unique(self.vertex_part):
             own = self.vertex_part == s
-            out[own] += away[own] > np.median(away[own])
+            points, above = self.vertices[own] - middles[s], self.segment_parent[s]
+            inward = (middles[above] if above >= 0 else self.vertices.mean(axis=0)) - middles[s]
+            longest = np.linalg.eigh(points.T @ points)[1][:, 2]
+            outward = -points @ longest * (1.0 if longest @ inward >= 0.0 else -1.0)
+            out[own] += outward > np.median(outward)
         return out
 
     @cached_property

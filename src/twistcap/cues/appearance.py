@@ -33,6 +33,7 @@ class AppearanceRule(Checked):
             sunny side, one the other.
         trusted: pixels, over all frames remembered, at which colours are trusted by half.
         other_side: weight of what is known of the other side's part, while little is known of a part itself.
+        whole_part: weight of what is known of a part, while little is known of its half.
     """
 
     memory: Share = 0.9
@@ -41,6 +42,7 @@ class AppearanceRule(Checked):
     shading: float = 0.3
     trusted: float = 100.0
     other_side: Share = 0.3
+    whole_part: Share = 0.3
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,10 @@ class Appearance:
 
     @cached_property
     def _of_halves(self) -> Float:
-        return self._pooled(self.halves, np.column_stack([2 * self.other, 2 * self.other + 1]).ravel())
+        """As `of_halves` gives them; while little is known of a half, its whole part lends it."""
+        unknown = self.rule.trusted / (self.rule.trusted + self.halves[..., :1])
+        lent = self.rule.whole_part * unknown * np.repeat(self.sums, 2, axis=1)
+        return self._pooled(self.halves + lent, np.column_stack([2 * self.other, 2 * self.other + 1]).ravel())
 
     def _pooled(self, sums: Float, other: Int) -> Float:
         """(cameras, P, 1 + 2C) as `of` gives it, of sums alike: own colours, with less weight those of other cameras,
@@ -123,8 +128,8 @@ class Appearance:
         """The same, ready for images of so many channels."""
         if self.sums.shape[2] > 1:
             return self
-        blank = (np.zeros((*sums.shape[:2], 1 + 2 * channels)) for sums in (self.sums, self.halves))
-        return replace(self, **dict(zip(("sums", "halves"), blank, strict=True)))
+        sums, halves = (np.zeros((*blank.shape[:2], 1 + 2 * channels)) for blank in (self.sums, self.halves))
+        return replace(self, sums=sums, halves=halves)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
