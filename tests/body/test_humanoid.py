@@ -203,12 +203,13 @@ def test_each_segment_has_two_halves_that_mirror_those_of_the_other_side() -> No
     halves, names = body.vertex_half, body.segment_names
     np.testing.assert_array_equal(halves // 2, body.vertex_part)
     np.testing.assert_array_equal(body.face_half // 2, body.face_part)
-    for name in ("humerus_l", "femur_r", "tibia_l"):
+    for name in ("humerus_l", "ulna_l", "radius_l", "radius_r", "femur_r", "tibia_l"):  # along z, at rest
         s = names.index(name)
         near, far = (body.vertices[halves == 2 * s + k] for k in (0, 1))
-        assert abs(len(near) - len(far)) <= 1
-        away = [np.linalg.norm(points - body.joint_origins[s], axis=1) for points in (near, far)]
-        assert away[0].max() <= away[1].min()
+        assert abs(len(near) - len(far)) <= 1 and near[:, 2].mean() - far[:, 2].mean() > 0.05
+    foot = names.index("foot_r")
+    heel, toes = (body.vertices[halves == 2 * foot + k].mean(axis=0) for k in (0, 1))
+    assert toes[0] - heel[0] > 0.1
     for s, other in enumerate(partners(names)):
         counts = [np.count_nonzero(halves == 2 * k + 1) for k in (s, other)]
         assert abs(counts[0] - counts[1]) <= 1

@@ -36,8 +36,13 @@ def test_a_part_whose_halves_differ_has_the_colours_of_each() -> None:
     known = blank.learnt(0, replace(views[0], image=image), seen, np.ones(len(names)), 1)
     near, far, both = *known.of_halves(0, 3)[2 * torso : 2 * torso + 2], known.of(0, 3)[torso]
     spread = [of[4] - of[1] ** 2 for of in (near, far, both)]
-    assert near[1] > both[1] > far[1] and max(spread[:2]) < 0.05 * spread[2]
+    assert near[1] > both[1] > far[1] and max(spread[:2]) < 0.6 * spread[2]  # the whole part lends at first
     assert both[0] > max(near[0], far[0])  # of more pixels
+    for _ in range(60):
+        known = known.learnt(0, replace(views[0], image=image), seen, np.ones(len(names)), 1)
+    near, far, both = *known.of_halves(0, 3)[2 * torso : 2 * torso + 2], known.of(0, 3)[torso]
+    spread = [of[4] - of[1] ** 2 for of in (near, far, both)]
+    assert max(spread[:2]) < 0.2 * spread[2]
 
 
 def test_colours_from_another_camera_are_trusted_less_and_less_sure() -> None:

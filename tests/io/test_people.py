@@ -112,7 +112,7 @@ def test_a_camera_that_shows_somebody_else_is_not_exchanged() -> None:
     assert same_person(ring(), people)[0] == (None, 0, 0, 0)
 
 
-@pytest.mark.parametrize("count", [2, 3, 5])
+@pytest.mark.parametrize("count", [2, 3, 5, 10])
 def test_exchanged_cameras_of_other_numbers(count: int) -> None:
     """Two may agree by chance; a camera without people, or with nothing detected, is not asked."""
     rig, person = ring(count), seen(standing(-0.5, 0.2), "halpe_26", np.random.default_rng(7), ring(count))

@@ -15,7 +15,6 @@ from twistcap.errors import InputError
 _REACH, _LEAST = 0.05, 3.0  # px that agree: a fraction of the person's height in the image, and at least
 _ENOUGH = 0.5  # of the joints seen twice that must agree, else a view does not show the person
 _STRIDE = 0.5  # m that a person may have moved since the frame before
-_CLEAR = 1.3  # times as much agreement where two cameras are exchanged: they are
 Choice = tuple[int | None, ...]
 """Person by camera; None where none of them is the one."""
 
@@ -41,17 +40,19 @@ def check_arrangement(rig: Rig, people: Sequence[Float]) -> None:
     """
     showing = [c for c, persons in enumerate(people) if np.any(persons[..., 2] > 0.0)]
     score, choice, _ = _agreed(rig, people, {}, None)
-    if len(showing) < 3 or (score > 0 and all(choice[c] is not None for c in showing)):
+    alone = [c for c in showing if score == 0 or choice[c] is None]
+    if len(showing) < 3 or not alone:
         return
     found = dict[str, float]()
-    for c, d in combinations(showing, 2):
+    for c, d in combinations(alone if 1 < len(alone) < len(showing) / 2 else showing, 2):
         given = [people[{c: d, d: c}.get(k, k)] for k in range(len(rig))]
         better, chosen, _ = _agreed(rig, given, {}, None)
         if all(chosen[k] is not None for k in showing):
             found[f"{rig.names[c]} and {rig.names[d]}"] = better
     best = max(found.values(), default=0.0)
-    if best > _CLEAR * score:  # of four in a ring, either two that face each other
-        pairs = ", or ".join(name for name, value in found.items() if value > best / _CLEAR)
+    clear = 0.5 * best / len(showing)  # half of what a camera says
+    if best > score + clear:  # of four in a ring, either two that face each other
+        pairs = ", or ".join(name for name, value in found.items() if value > best - clear)
         mend = "give each camera its own video, keypoints and calibration"
         raise InputError(f"[first_pose]: the keypoints of all cameras agree only if {pairs} are exchanged; {mend}.")
 

@@ -271,7 +271,7 @@ def _from_instants(
     instants, rigs = list(own), [rig] * len(own)
     for extra in session.first_pose.lengths_from:
         theirs = rig_of_lengths(extra, rig)
-        instants += keypoints_of(extra, theirs)
+        instants += keypoints_of(extra, theirs, first=False)
         rigs += [theirs] * (len(instants) - len(rigs))
     fits = fit_keypoints_sequence(body, rigs, instants, fit_lengths=session.fits_lengths)[: len(own)]
     near = int(np.argmin(np.abs(np.array(frames) - first)))
@@ -324,7 +324,7 @@ def keypoints_of(
         for name, persons in zip(rig.names, people, strict=True):
             if name in pinned and len(persons):
                 check_person(files[name], pinned[name], len(persons))
-        if first and not pinned:
+        if first and not pinned and not out:
             check_arrangement(rig, people)
         choice, joints = same_person(rig, people, pinned, before)
         before = joints if np.isfinite(joints).any() else before

@@ -42,7 +42,7 @@ def _check_keypoints(session: Session, rig: Rig, views: Views) -> None:
     if start.keypoints is not None:
         keypoints_of(start.keypoints, rig, views)
     for extra in start.lengths_from:
-        keypoints_of(extra, rig_of_lengths(extra, rig))
+        keypoints_of(extra, rig_of_lengths(extra, rig), first=False)
     if start.detector is not None:
         check_detector(start.detector.model, start.detector.people)
 

@@ -63,7 +63,8 @@ def from_bytes(data: UInt8, model: Model | DifferentialModel) -> tuple[Any, tupl
     except InputError:
         raise
     except _DAMAGE as error:
-        raise InputError("the stored state of the track is damaged; track anew.") from error
+        fact = "the stored state of the track is damaged, or of another version of twistcap"
+        raise InputError(f"{fact}; track anew.") from error
 
 
 def _check_sizes(state: Any, corrected: Sequence[Estimate], model: Model | DifferentialModel) -> None:

@@ -89,7 +89,7 @@ class Evidence:
 
 @njit(cache=True, nogil=True)
 def _gaussians(colours: Float) -> tuple[Float, Float, Float]:
-    """Mean and inverse variance (S, C) of each part's colours (S, 1 + 2C), and half their log determinant (S,)."""
+    """Mean and inverse variance (P, C) of each part's colours (P, 1 + 2C), and half their log determinant (P,)."""
     S, C = len(colours), colours.shape[1] // 2
     means, inverse, spread = np.empty((S, C)), np.empty((S, C)), np.zeros(S)
     for s in range(S):
@@ -150,7 +150,7 @@ def _nats_behind(features: Float32, background: Background, palette: Palette) ->
 
 @njit(cache=True, nogil=True)
 def evidence_maps(features: Float32, background: Background, palette: Palette, colours: Float, clip: float) -> Float32:
-    """(S, h, w) log-likelihood ratio, part over background, of each pixel, times the confidence in the part's colours.
+    """(P, h, w) log-likelihood ratio, part over background, of each pixel, times the confidence in the part's colours.
 
     Whole rows at once, in single precision: a processor takes several pixels in one step.
 
@@ -158,7 +158,7 @@ def evidence_maps(features: Float32, background: Background, palette: Palette, c
         features: (h, w, C).
         background: what is known of each pixel.
         palette: weights (K,), means and variances (K, C) of the background's colours, for all other pixels.
-        colours: (S, 1 + 2C) confidence, mean and mean square of each part.
+        colours: (P, 1 + 2C) confidence, mean and mean square of each part, or half of one.
         clip: greatest contribution of one pixel, nats.
     """
     height, width, C = features.shape
@@ -188,17 +188,17 @@ def sampled_evidence(
     features: Float32, part: Int, grid: tuple[int, int, float, int], background: Background,
     palette: Palette, colours: Float, clip: float, beside: bool = True,
 ) -> tuple[Float, Float]:  # fmt: skip
-    """(3, S) evidence of each part where it covers the image, number of pixels, and evidence where nothing covers it;
+    """(3, P) evidence of each part where it covers the image, number of pixels, and evidence where nothing covers it;
     and (2,) pixels off the body that fit the background, and how many there are. Off the body only pixels count whose
     background is known; none at all without `beside`.
 
     Args:
         features: (H, W, ≥ C) of a crop, of which every `stride`-th pixel is looked at.
-        part: (H, W) segment at each pixel, or -1.
+        part: (H, W) part, or half of one, at each pixel, or -1.
         grid: (x, y) of the crop in the whole image, small pixels in a pixel, and the stride.
         background: of the small image.
         palette: as `evidence_maps` takes it.
-        colours: (S, ≥ 1 + 2C) as `evidence_maps` takes them.
+        colours: (P, ≥ 1 + 2C) as `evidence_maps` takes them.
         clip: greatest contribution of one pixel, nats.
     """
     mean, inverse, spread, known = background
@@ -240,7 +240,7 @@ def sampled_evidence(
 
 @njit(cache=True, nogil=True)
 def covered_evidence(maps: Float32, part: Int) -> tuple[Float, Float]:
-    """(S,) sum of the evidence (S, h, w) over the pixels that show each part, and their number."""
+    """(P,) sum of the evidence (P, h, w) over the pixels that show each part, and their number."""
     total, count = np.zeros(len(maps)), np.zeros(len(maps))
     for r in range(part.shape[0]):
         for c in range(part.shape[1]):

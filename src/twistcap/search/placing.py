@@ -232,7 +232,7 @@ def _grid(steps: Float) -> Float:
 
 @njit(cache=True, nogil=True)
 def moved_evidence(maps: Float32, P: Float, points: Float, part: Int, offsets: Float, nearest: float) -> Float:
-    """(N,) sum of the evidence (S, h, w) at the projections of points (M, 3) of parts (M,), moved by offsets (N, 3),
+    """(N,) sum of the evidence (P, h, w) at the projections of points (M, 3) of parts (M,), moved by offsets (N, 3),
     each divided by the square of its depth, which counts as `nearest` (m) at least.
     """
     height, width = maps.shape[1:]
@@ -256,7 +256,7 @@ def moved_evidence(maps: Float32, P: Float, points: Float, part: Int, offsets: F
 
 @njit(cache=True, nogil=True)
 def points_evidence(maps: Float32, P: Float, points: Float, part: Int) -> Float:
-    """(M,) sum of the evidence (S, h, w) at the projections of M sets of points (M, N, 3) of parts (N,)."""
+    """(M,) sum of the evidence (P, h, w) at the projections of M sets of points (M, N, 3) of parts (N,)."""
     height, width = maps.shape[1:]
     out = np.zeros(len(points))
     for m in range(len(points)):
