@@ -10,7 +10,6 @@ from support.twins import check_twin
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.kinematics import chain_reference, points_at, skin_points_reference
-from twistcap.body.model import partners
 from twistcap.errors import InputError
 
 H = 1.75
@@ -196,20 +195,3 @@ def test_bad_wishes_are_named() -> None:
         humanoid(stature=-1.0)
     with pytest.raises(InputError, match="tail"):
         humanoid(lengths={"tail": 2.0})
-
-
-def test_each_segment_has_two_halves_that_mirror_those_of_the_other_side() -> None:
-    body = humanoid("full")
-    halves, names = body.vertex_half, body.segment_names
-    np.testing.assert_array_equal(halves // 2, body.vertex_part)
-    np.testing.assert_array_equal(body.face_half // 2, body.face_part)
-    for name in ("humerus_l", "ulna_l", "radius_l", "radius_r", "femur_r", "tibia_l"):  # along z, at rest
-        s = names.index(name)
-        near, far = (body.vertices[halves == 2 * s + k] for k in (0, 1))
-        assert abs(len(near) - len(far)) <= 1 and near[:, 2].mean() - far[:, 2].mean() > 0.05
-    foot = names.index("foot_r")
-    heel, toes = (body.vertices[halves == 2 * foot + k].mean(axis=0) for k in (0, 1))
-    assert toes[0] - heel[0] > 0.1
-    for s, other in enumerate(partners(names)):
-        counts = [np.count_nonzero(halves == 2 * k + 1) for k in (s, other)]
-        assert abs(counts[0] - counts[1]) <= 1

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from support.labels import labels, scene_and_views
@@ -22,27 +20,6 @@ def test_colours_are_those_of_the_parts_inner_pixels() -> None:
     assert sums[0, 0] == len(mine) and np.all(sums[1] == 0.0)
     np.testing.assert_allclose(sums[0, 1:4], mine.sum(axis=0), rtol=1e-5)
     np.testing.assert_allclose(sums[0, 4:], (mine.astype(float) ** 2).sum(axis=0), rtol=1e-5)
-
-
-def test_a_part_whose_halves_differ_has_the_colours_of_each() -> None:
-    """As where a shirt ends: the mean of both is neither."""
-    scene, truth, views = scene_and_views()
-    seen, names = render(truth, views[0].camera), scene.body.segment_names
-    torso = names.index("torso")
-    image = np.array(views[0].image)
-    for half, value in ((0, 230), (1, 30)):
-        image[seen.half == 2 * torso + half] = value
-    blank = Appearance.blank(1, names, AppearanceRule())
-    known = blank.learnt(0, replace(views[0], image=image), seen, np.ones(len(names)), 1)
-    near, far, both = *known.of_halves(0, 3)[2 * torso : 2 * torso + 2], known.of(0, 3)[torso]
-    spread = [of[4] - of[1] ** 2 for of in (near, far, both)]
-    assert near[1] > both[1] > far[1] and max(spread[:2]) < 0.6 * spread[2]  # the whole part lends at first
-    assert both[0] > max(near[0], far[0])  # of more pixels
-    for _ in range(60):
-        known = known.learnt(0, replace(views[0], image=image), seen, np.ones(len(names)), 1)
-    near, far, both = *known.of_halves(0, 3)[2 * torso : 2 * torso + 2], known.of(0, 3)[torso]
-    spread = [of[4] - of[1] ** 2 for of in (near, far, both)]
-    assert max(spread[:2]) < 0.2 * spread[2]
 
 
 def test_colours_from_another_camera_are_trusted_less_and_less_sure() -> None:
@@ -75,10 +52,8 @@ def test_while_a_part_is_unknown_it_is_expected_to_look_as_on_the_other_side() -
     sure, expected = known.of(0, 3)[[left, right]]
     np.testing.assert_allclose(expected[1:], sure[1:])
     assert 0.0 < expected[0] < sure[0]
-    halves = known.of_halves(0, 3).reshape(len(names), 2, -1)
-    np.testing.assert_allclose(halves[right, :, 1:], halves[left, :, 1:])
     both = known.learnt(0, views[0], render(truth, views[0].camera), np.ones(len(names)), 1)
     for _ in range(30):
         both = both.learnt(0, views[0], render(truth, views[0].camera), np.ones(len(names)), 1)
-    alone = Appearance(both.rule, both.sums, both.halves, np.arange(len(names), dtype=np.int32))
+    alone = Appearance(both.rule, both.sums, np.arange(len(names), dtype=np.int32))
     np.testing.assert_allclose(both.of(0, 3)[right], alone.of(0, 3)[right], atol=0.05)

@@ -20,7 +20,7 @@ from twistcap.search.redrawn import RedrawnLimb, evidence_before, window
 def test_the_evidence_of_any_pose_of_a_branch_is_that_of_the_whole_body(nearest: float) -> None:
     body, rng = humanoid(), np.random.default_rng(0)
     cameras = [camera.resized((96, 70)) for camera in ring(3).cameras]
-    shape = 2 * len(body.segment_names), cameras[0].size[1], cameras[0].size[0]
+    shape = len(body.segment_names), cameras[0].size[1], cameras[0].size[0]
     maps = [rng.normal(0.4, 1.0, shape).astype(np.float32) for _ in cameras]
     views = [EvidenceView(i, c, m, nearest) for i, (c, m) in enumerate(zip(cameras, maps, strict=True))]
     evidence = Evidence(body, views)
@@ -36,9 +36,9 @@ def test_the_evidence_of_any_pose_of_a_branch_is_that_of_the_whole_body(nearest:
 def test_kernels_are_their_readable_twins() -> None:
     rng, shape, seen = np.random.default_rng(1), (9, 11), (5, 4)
     maps = rng.normal(size=(4, *shape)).astype(np.float32)
-    half, nearness = rng.integers(-1, 4, shape).astype(np.int32), rng.random(shape).astype(np.float32)
+    part, nearness = rng.integers(-1, 4, shape).astype(np.int32), rng.random(shape).astype(np.float32)
     face, near = rng.integers(-1, 6, seen).astype(np.int32), rng.random(seen).astype(np.float32)
-    face_half = rng.integers(0, 4, 6).astype(np.int32)
-    check_twin(evidence_before, maps, half, nearness, (6, 2), face, near, face_half, rtol=1e-5)
+    face_part = rng.integers(0, 4, 6).astype(np.int32)
+    check_twin(evidence_before, maps, part, nearness, (6, 2), face, near, face_part, rtol=1e-5)
     for middle in ((20.0, 30.0), (0.0, 0.0), (-60.0, 20.0), (300.0, 20.0), (97.0, 71.5)):
         check_twin(window, np.array(middle) + 9.0 * rng.normal(size=(7, 2)), (96, 70))

@@ -13,18 +13,16 @@ from reproduce.faults.staged import staged
 from support.faulty_walk import FAULT, tracked_walk, walk
 from twistcap import se3
 from twistcap.body import Pose, Posed
-from twistcap.body.limbs import limb_parts, limbs
+from twistcap.body.limbs import limbs
 from twistcap.build import build
 from twistcap.cues.view import despeckled
 from twistcap.predict import Moment, Prediction
-from twistcap.render import render
 from twistcap.search.body import BodyRule, BodySearch
 from twistcap.search.evidence import Evidence, EvidenceView
 from twistcap.search.limb import LimbRule
 from twistcap.search.lost import LostBody
 from twistcap.search.placing import Hypothesis, Placing, PlacingRule
 from twistcap.search.recollection import Judged, Recollection
-from twistcap.search.redrawn import RedrawnLimb
 from twistcap.studio import StudioConfig, capture
 from twistcap.track import Tracker
 from twistcap.track.step import posed_problem
@@ -101,7 +99,7 @@ def test_places_count_by_the_pixels_that_a_body_covers_there() -> None:
     """As many points of a body twice as far away show it, but a quarter of the pixels."""
     scene, _ = walk()
     views = [
-        EvidenceView(i, camera, np.ones((2 * len(scene.body.segment_names), *camera.size[::-1]), np.float32))
+        EvidenceView(i, camera, np.ones((len(scene.body.segment_names), *camera.size[::-1]), np.float32))
         for i, camera in enumerate(scene.rig)
     ]
     camera, middle = scene.rig[0], scene.first_pose.root[:3, 3]
@@ -114,35 +112,11 @@ def test_places_count_by_the_pixels_that_a_body_covers_there() -> None:
     np.testing.assert_allclose([near / far, drawn[0] / drawn[1]], 4.0, rtol=0.15)
 
 
-def test_each_half_of_a_part_has_its_own_colours() -> None:
-    """Roughly by points of the surface, and drawn: one half of the right shin alone speaks for the body."""
-    scene, _ = walk()
-    camera, pose, body = scene.rig[0], scene.first_pose, scene.body
-    shin = body.segment("tibia_r")
-    drawn, rough = list[float](), list[float]()
-    for half in (2 * shin, 2 * shin + 1):
-        maps = np.zeros((2 * len(body.segment_names), *camera.size[::-1]), np.float32)
-        maps[half] = 1.0
-        evidence = Evidence(body, [EvidenceView(0, camera, maps)])
-        placing = Placing(evidence, PlacingRule())
-        drawn.append(evidence.of(pose))
-        rough += placing.rough(placing.points(pose), np.zeros((1, 3))).tolist()
-        by_part = evidence.by_part(pose)[0][0]
-        assert by_part[shin] == drawn[-1] and np.count_nonzero(by_part) == 1
-        limb = next(limb for limb in limbs(body) if limb_parts(body, limb)[shin])
-        assert RedrawnLimb.at(evidence, pose, limb).of(pose) == pytest.approx(drawn[-1])
-    seen = render(Posed(body, pose), camera).half
-    assert drawn == [np.count_nonzero(seen == half) for half in (2 * shin, 2 * shin + 1)] and min(drawn) > 10
-    sample = body.vertex_half[placing._sample]  # pyright: ignore[reportPrivateUsage]
-    counts = [np.count_nonzero(sample == half) for half in (2 * shin, 2 * shin + 1)]
-    assert rough[0] / rough[1] == pytest.approx(counts[0] / counts[1], rel=0.1)
-
-
 def test_a_body_near_a_camera_counts_no_more_than_from_half_as_far_as_it_was() -> None:
     """It fills the picture, and in noise it would outweigh all other cameras."""
     scene, _ = walk()
     camera, pose = scene.rig[0], scene.first_pose
-    maps = np.ones((2 * len(scene.body.segment_names), *camera.size[::-1]), np.float32)
+    maps = np.ones((len(scene.body.segment_names), *camera.size[::-1]), np.float32)
     towards = -camera.T_cam_world[2, :3] * 0.5 * (camera.T_cam_world[2] @ pose.root[:, 3])
     near = Pose(se3.transform(pose.root[:3, :3], pose.root[:3, 3] + towards), pose.q)
     far = Pose(se3.transform(pose.root[:3, :3], pose.root[:3, 3] - towards), pose.q)

@@ -127,29 +127,6 @@ class Body:
         return np.where(b == c, b, a).astype(np.int32)
 
     @cached_property
-    def vertex_half(self) -> Int:
-        """(V,) the half of a segment, along its longest direction, that each vertex is in: 2 s is that of segment s
-        nearer to its parent, 2 s + 1 the other.
-        """
-        out, middles = 2 * self.vertex_part, self.segment_middles
-        for s in np.unique(self.vertex_part):
-            own = self.vertex_part == s
-            points, above = self.vertices[own] - middles[s], self.segment_parent[s]
-            inward = (middles[above] if above >= 0 else self.vertices.mean(axis=0)) - middles[s]
-            longest = np.linalg.eigh(points.T @ points)[1][:, 2]
-            outward = -points @ longest * (1.0 if longest @ inward >= 0.0 else -1.0)
-            out[own] += outward > np.median(outward)
-        return out
-
-    @cached_property
-    def face_half(self) -> Int:
-        """(F,) the same of each triangle, by the majority of its corners in its `face_part`."""
-        corners = self.vertex_half[self.faces]
-        outer = np.count_nonzero(corners == 2 * self.face_part[:, None] + 1, axis=1)
-        inner = np.count_nonzero(corners == 2 * self.face_part[:, None], axis=1)
-        return 2 * self.face_part + (outer > inner).astype(np.int32)
-
-    @cached_property
     def segment_parent(self) -> Int:
         """(S,) the nearest segment towards the root, -1 for root segments."""
         carried = {int(j): s for s, j in enumerate(self.segment_joint)}

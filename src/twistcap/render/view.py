@@ -97,12 +97,6 @@ class RenderedView:
         return table.take(self.face_index, mode="wrap")
 
     @cached
-    def half(self) -> Int:
-        """(H, W) visible half of a segment, see `Body.vertex_half`, -1 off the body."""
-        table = np.append(self.posed.body.face_half, np.int32(-1))
-        return table.take(self.face_index, mode="wrap")
-
-    @cached
     def inside(self) -> Float32:
         """(H, W) distance (px) from the nearest rim: of the silhouette, or of one part before another."""
         kept = off_rims(self.nearness_image, self.camera.inverse_depth)

@@ -85,7 +85,7 @@ class Problem(Protocol):
         ...
 
     def colours(self, camera_index: int, channels: int) -> Float:
-        """(2 S, 1 + 2C) confidence, mean and mean square of the colours of each half of a part in a camera."""
+        """(S, 1 + 2C) confidence, mean and mean square of each part's colours in a camera."""
         ...
 
     def support(self, fit: Fit) -> Float:

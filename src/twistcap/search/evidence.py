@@ -28,8 +28,7 @@ class EvidenceView:
     Attributes:
         index: of the camera in the rig.
         camera: of the small image.
-        maps: (2 S, h, w) nats by which each pixel speaks for each half of a part (`Body.vertex_half`) and against the
-            background.
+        maps: (S, h, w) nats by which each pixel speaks for each part and against the background.
         nearest: m; a body that is nearer to the camera counts as from there. It covers more pixels, of which none knows
             more than those of a small picture, and in noise it would outweigh all other cameras.
     """
@@ -46,17 +45,11 @@ class EvidenceView:
 
     def by_part(self, posed: Posed) -> Float:
         """(2, S) nats for each part of a body, and the number of its pixels."""
-        found = np.array(covered_evidence(self.maps, render(posed, self.camera).half))
-        return self.share(posed.pose) * of_parts(found)
+        return self.share(posed.pose) * np.array(covered_evidence(self.maps, render(posed, self.camera).part))
 
     def share(self, pose: Pose) -> float:
         """What its pixels count for a body at a pose, 0 to 1."""
         return min(1.0, (depth_of(self.camera, pose) / self.nearest) ** 2) if self.nearest > 0.0 else 1.0
-
-
-def of_parts(values: Float) -> Float:
-    """(..., S) sums over the two halves of each part, of values (..., 2 S)."""
-    return values.reshape(*values.shape[:-1], -1, 2).sum(axis=-1)
 
 
 def depth_of(camera: Camera, pose: Pose) -> float:
@@ -89,7 +82,7 @@ class Evidence:
 
 @njit(cache=True, nogil=True)
 def _gaussians(colours: Float) -> tuple[Float, Float, Float]:
-    """Mean and inverse variance (P, C) of each part's colours (P, 1 + 2C), and half their log determinant (P,)."""
+    """Mean and inverse variance (S, C) of each part's colours (S, 1 + 2C), and half their log determinant (S,)."""
     S, C = len(colours), colours.shape[1] // 2
     means, inverse, spread = np.empty((S, C)), np.empty((S, C)), np.zeros(S)
     for s in range(S):
@@ -150,7 +143,7 @@ def _nats_behind(features: Float32, background: Background, palette: Palette) ->
 
 @njit(cache=True, nogil=True)
 def evidence_maps(features: Float32, background: Background, palette: Palette, colours: Float, clip: float) -> Float32:
-    """(P, h, w) log-likelihood ratio, part over background, of each pixel, times the confidence in the part's colours.
+    """(S, h, w) log-likelihood ratio, part over background, of each pixel, times the confidence in the part's colours.
 
     Whole rows at once, in single precision: a processor takes several pixels in one step.
 
@@ -158,7 +151,7 @@ def evidence_maps(features: Float32, background: Background, palette: Palette, c
         features: (h, w, C).
         background: what is known of each pixel.
         palette: weights (K,), means and variances (K, C) of the background's colours, for all other pixels.
-        colours: (P, 1 + 2C) confidence, mean and mean square of each part, or half of one.
+        colours: (S, 1 + 2C) confidence, mean and mean square of each part.
         clip: greatest contribution of one pixel, nats.
     """
     height, width, C = features.shape
@@ -188,17 +181,17 @@ def sampled_evidence(
     features: Float32, part: Int, grid: tuple[int, int, float, int], background: Background,
     palette: Palette, colours: Float, clip: float, beside: bool = True,
 ) -> tuple[Float, Float]:  # fmt: skip
-    """(3, P) evidence of each part where it covers the image, number of pixels, and evidence where nothing covers it;
+    """(3, S) evidence of each part where it covers the image, number of pixels, and evidence where nothing covers it;
     and (2,) pixels off the body that fit the background, and how many there are. Off the body only pixels count whose
     background is known; none at all without `beside`.
 
     Args:
         features: (H, W, ≥ C) of a crop, of which every `stride`-th pixel is looked at.
-        part: (H, W) part, or half of one, at each pixel, or -1.
+        part: (H, W) segment at each pixel, or -1.
         grid: (x, y) of the crop in the whole image, small pixels in a pixel, and the stride.
         background: of the small image.
         palette: as `evidence_maps` takes it.
-        colours: (P, ≥ 1 + 2C) as `evidence_maps` takes them.
+        colours: (S, ≥ 1 + 2C) as `evidence_maps` takes them.
         clip: greatest contribution of one pixel, nats.
     """
     mean, inverse, spread, known = background
@@ -240,7 +233,7 @@ def sampled_evidence(
 
 @njit(cache=True, nogil=True)
 def covered_evidence(maps: Float32, part: Int) -> tuple[Float, Float]:
-    """(P,) sum of the evidence (P, h, w) over the pixels that show each part, and their number."""
+    """(S,) sum of the evidence (S, h, w) over the pixels that show each part, and their number."""
     total, count = np.zeros(len(maps)), np.zeros(len(maps))
     for r in range(part.shape[0]):
         for c in range(part.shape[1]):

@@ -236,9 +236,9 @@ class _Roughly:
         base: (4, 4) what the limb hangs on, at the pose.
         joints, q: (K,) coordinates of the limb, and their values.
         limits, twists, parent: of those coordinates; −1 is the base.
-        points: segments' coordinates (P, k), weights (P, k), places at rest (P, 3) and half (P,) of surface points.
-        views: (3, 4) projection and (halves, h, w) nats by which each pixel favours each half of the limb over what
-            it shows without it. Where that is the body, it is no less than 0: the limb may be behind.
+        points: segments' coordinates (P, k), weights (P, k), places at rest (P, 3) and part (P,) of surface points.
+        views: (3, 4) projection and (parts, h, w) nats by which each pixel favours each part of the limb over what it
+            shows without it. Where that is the body, it is no less than 0: the limb may be behind.
         px_per_m: of each view, at the body.
     """
 
@@ -267,7 +267,7 @@ class _Roughly:
         views, px_per_m = _freed(evidence, posed, own)
         return _Roughly(
             base, joints, pose.q[joints], body.limits[joints], body.twists[joints], within[body.parent[joints]],
-            (*points, (np.cumsum(np.repeat(own, 2)) - 1)[body.vertex_half[some]]), views, px_per_m,
+            (*points, (np.cumsum(own) - 1)[body.vertex_part[some]]), views, px_per_m,
         )  # fmt: skip
 
     def blurred(self, size: float) -> _Roughly:
@@ -294,8 +294,7 @@ def _freed(evidence: Evidence, posed: Posed, own: Bool) -> tuple[list[tuple[Floa
     for view in evidence.views:
         pixels, nearness = projected(view.camera, posed.vertices)
         px_per_m.append(max(view.camera.px_per_m(nearness), 1.0))
-        half, _ = drawn(body, ~own[body.face_part], pixels, nearness, view.camera.size)
-        here = np.take_along_axis(view.maps, np.maximum(half, 0)[None], axis=0)[0]
-        limb = view.maps[np.repeat(own, 2)]
-        views.append((view.camera.P, np.where(half >= 0, np.maximum(limb - here, 0.0), limb)))
+        part, _ = drawn(body, ~own[body.face_part], pixels, nearness, view.camera.size)
+        here = np.take_along_axis(view.maps, np.maximum(part, 0)[None], axis=0)[0]
+        views.append((view.camera.P, np.where(part >= 0, np.maximum(view.maps[own] - here, 0.0), view.maps[own])))
     return views, px_per_m

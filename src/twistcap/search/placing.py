@@ -108,7 +108,7 @@ class Placing:
         """(N,) evidence of a body's points (P, 3) at each of the offsets (N, 3), by the pixels that its
         surface covers: what is far away covers few. With `any_part`, any part may be anywhere on the body.
         """
-        part = np.zeros(len(points), np.int32) if any_part else self.body.vertex_half[self._sample]
+        part = np.zeros(len(points), np.int32) if any_part else self.body.vertex_part[self._sample]
         out = np.zeros(len(offsets))
         for view in self.evidence.views:
             maps, area = view.any_part if any_part else view.maps, view.camera.K[0, 0] * view.camera.K[1, 1]
@@ -232,7 +232,7 @@ def _grid(steps: Float) -> Float:
 
 @njit(cache=True, nogil=True)
 def moved_evidence(maps: Float32, P: Float, points: Float, part: Int, offsets: Float, nearest: float) -> Float:
-    """(N,) sum of the evidence (P, h, w) at the projections of points (M, 3) of parts (M,), moved by offsets (N, 3),
+    """(N,) sum of the evidence (S, h, w) at the projections of points (M, 3) of parts (M,), moved by offsets (N, 3),
     each divided by the square of its depth, which counts as `nearest` (m) at least.
     """
     height, width = maps.shape[1:]
@@ -256,7 +256,7 @@ def moved_evidence(maps: Float32, P: Float, points: Float, part: Int, offsets: F
 
 @njit(cache=True, nogil=True)
 def points_evidence(maps: Float32, P: Float, points: Float, part: Int) -> Float:
-    """(M,) sum of the evidence (P, h, w) at the projections of M sets of points (M, N, 3) of parts (N,)."""
+    """(M,) sum of the evidence (S, h, w) at the projections of M sets of points (M, N, 3) of parts (N,)."""
     height, width = maps.shape[1:]
     out = np.zeros(len(points))
     for m in range(len(points)):

@@ -13,7 +13,7 @@ from twistcap.camera import Rig
 from twistcap.cues.observation import Fit, Sight
 from twistcap.search import Problem
 from twistcap.search.backdrop import Backdrop, small_camera, small_features
-from twistcap.search.evidence import Evidence, EvidenceView, evidence_maps, of_parts, sampled_evidence
+from twistcap.search.evidence import Evidence, EvidenceView, evidence_maps, sampled_evidence
 from twistcap.search.placing import Stance
 from twistcap.search.surroundings import Surroundings
 
@@ -144,10 +144,10 @@ class Recollection:
             grid = (x, y, backdrop.size[0] / problem.rig[i].size[0], stride)
             colours = problem.colours(i, view.features.shape[2])
             found = sampled_evidence(
-                view.features, sight.seen.half, grid, backdrop.background, backdrop.palette, colours, CLIP,
+                view.features, sight.seen.part, grid, backdrop.background, backdrop.palette, colours, CLIP,
                 beside,
             )  # fmt: skip
-            out[:, i], fits = of_parts(found[0]), found[1]
+            out[:, i], fits = found
             fitting[i] = fits[0] / fits[1] if fits[1] else np.nan
         return Check(out[0], out[1], out[2], fitting)
 

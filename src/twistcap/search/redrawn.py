@@ -21,13 +21,13 @@ class _Still:
     """What one view shows of a body without what moves.
 
     Attributes:
-        half, nearness: (h, w) visible half of a segment, −1 for none, and its nearness, 0 there.
+        part, nearness: (h, w) visible segment, −1 for none, and its nearness, 0 there.
         nats: its evidence.
         share: what the view counts, see `EvidenceView.share`.
     """
 
     view: EvidenceView
-    half: Int
+    part: Int
     nearness: Float32
     nats: float
     share: float
@@ -39,14 +39,14 @@ class RedrawnLimb:
     `Evidence.of`.
 
     Attributes:
-        faces, face_half: (F, 3) triangles that move, of the vertices that do, and the half (F,) of each.
+        faces, face_part: (F, 3) triangles that move, of the vertices that do, and the segment (F,) of each.
         skin: segments (V, K), weights (V, K) and places at rest (V, 3) of those vertices.
         still: all else, by view.
     """
 
     body: Body
     faces: Int
-    face_half: Int
+    face_part: Int
     skin: tuple[Int, Float, Float]
     still: Sequence[_Still]
 
@@ -59,7 +59,7 @@ class RedrawnLimb:
         corners, faces = np.unique(body.faces[moving], return_inverse=True)
         still = [_still(view, posed, ~moving) for view in evidence.views]
         skin = body.skin_segments[corners], body.skin_weights[corners], body.vertices[corners]
-        return RedrawnLimb(body, faces.reshape(-1, 3).astype(np.int32), body.face_half[moving], skin, still)
+        return RedrawnLimb(body, faces.reshape(-1, 3).astype(np.int32), body.face_part[moving], skin, still)
 
     def of(self, pose: Pose) -> float:
         """Nats for a body at a pose, see `Evidence.of`."""
@@ -68,23 +68,23 @@ class RedrawnLimb:
             pixels, nearness = projected(still.view.camera, points)
             first, size = window(pixels, still.view.camera.size)
             limb = rasterise(pixels, nearness, self.faces, first, size)
-            more = evidence_before(still.view.maps, still.half, still.nearness, first, *limb, self.face_half)
+            more = evidence_before(still.view.maps, still.part, still.nearness, first, *limb, self.face_part)
             nats += max(still.share * (still.nats + more), 0.0)
         return nats
 
 
 def _still(view: EvidenceView, posed: Posed, faces: Bool) -> _Still:
     """Some faces (F,) of a body in a view."""
-    half, nearness = drawn(posed.body, faces, *projected(view.camera, posed.vertices), view.camera.size)
-    rows, columns = np.nonzero(half >= 0)
-    nats = float(view.maps[half[rows, columns], rows, columns].sum())
-    return _Still(view, half, nearness, nats, view.share(posed.pose))
+    part, nearness = drawn(posed.body, faces, *projected(view.camera, posed.vertices), view.camera.size)
+    rows, columns = np.nonzero(part >= 0)
+    nats = float(view.maps[part[rows, columns], rows, columns].sum())
+    return _Still(view, part, nearness, nats, view.share(posed.pose))
 
 
 def drawn(body: Body, faces: Bool, pixels: Float, nearness: Float, size: tuple[int, int]) -> tuple[Int, Float32]:
-    """(h, w) half of a segment that some faces (F,) show, −1 for none, and its nearness, as `rasterise` gives it."""
+    """(h, w) visible segment of some faces (F,), −1 for none, and its nearness, see `render.raster.rasterise`."""
     face, image = rasterise(pixels, nearness, body.faces[faces], (0, 0), size)
-    return np.append(body.face_half[faces], np.int32(-1))[face], image  # −1 picks the last one
+    return np.append(body.face_part[faces], np.int32(-1))[face], image  # −1 picks the last one
 
 
 @njit(cache=True, nogil=True)
@@ -108,35 +108,35 @@ def window_reference(pixels: Float, size: tuple[int, int]) -> tuple[tuple[int, i
 
 @njit(cache=True, nogil=True)
 def evidence_before(
-    maps: Float32, half: Int, nearness: Float32, first: tuple[int, int],
-    face: Int, face_nearness: Float32, face_half: Int,
+    maps: Float32, part: Int, nearness: Float32, first: tuple[int, int],
+    face: Int, face_nearness: Float32, face_part: Int,
 ) -> float:  # fmt: skip
-    """Evidence, by maps (2 S, H, W), that triangles add to halves of segments (H, W): they hide what is less near.
+    """Evidence (S, H, W) that triangles add to parts (H, W) of some nearness: they hide what is less near.
 
     Args:
         first: (x, y) pixel of the window (h, w) in which the triangles are.
         face, face_nearness: (h, w) visible triangle, −1 for none, and its nearness.
-        face_half: (F,) half of each triangle.
+        face_part: (F,) segment of each triangle.
     """
     total = 0.0
     for i in range(face.shape[0]):
         for j in range(face.shape[1]):
             r, c = first[1] + i, first[0] + j
             if face[i, j] >= 0 and face_nearness[i, j] > nearness[r, c]:
-                total += maps[face_half[face[i, j]], r, c]
-                if half[r, c] >= 0:
-                    total -= maps[half[r, c], r, c]
+                total += maps[face_part[face[i, j]], r, c]
+                if part[r, c] >= 0:
+                    total -= maps[part[r, c], r, c]
     return float(total)
 
 
 def evidence_before_reference(
-    maps: Float32, half: Int, nearness: Float32, first: tuple[int, int],
-    face: Int, face_nearness: Float32, face_half: Int,
+    maps: Float32, part: Int, nearness: Float32, first: tuple[int, int],
+    face: Int, face_nearness: Float32, face_part: Int,
 ) -> float:  # fmt: skip
     """Readable twin of `evidence_before`."""
     rows, columns = (slice(a, a + n) for a, n in zip(first[::-1], face.shape, strict=True))
-    maps, half, nearness = maps[:, rows, columns], half[rows, columns], nearness[rows, columns]
+    maps, part, nearness = maps[:, rows, columns], part[rows, columns], nearness[rows, columns]
     before = (face >= 0) & (face_nearness > nearness)
-    added: Float32 = np.take_along_axis(maps, face_half[face][None], axis=0)[0]
-    hidden: Float32 = np.take_along_axis(maps, np.maximum(half, 0)[None], axis=0)[0]
-    return float(added[before].sum() - hidden[before & (half >= 0)].sum())
+    added: Float32 = np.take_along_axis(maps, face_part[face][None], axis=0)[0]
+    hidden: Float32 = np.take_along_axis(maps, np.maximum(part, 0)[None], axis=0)[0]
+    return float(added[before].sum() - hidden[before & (part >= 0)].sum())

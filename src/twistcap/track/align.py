@@ -94,7 +94,7 @@ class FrameProblem:
         """See `search.Problem`."""
         known = self.state.cues["contour"]
         assert isinstance(known, Appearance)
-        return known.of_halves(camera_index, channels)
+        return known.of(camera_index, channels)
 
     def afresh(self, pose: Pose, margin: float) -> Fit:
         """See `search.Problem`."""

@@ -69,7 +69,7 @@ class Scenery:
         for i, (image, still) in enumerate(zip(images, self.stills, strict=True)):
             if image is not None and still is not None:
                 nats = still.standing_out(small_features(image, still.camera.size, self.channels), self.clip)
-                views.append(EvidenceView(i, still.camera, np.repeat(nats[None], 2 * len(body.segment_names), axis=0)))
+                views.append(EvidenceView(i, still.camera, np.repeat(nats[None], len(body.segment_names), axis=0)))
         return Evidence(body, views)
 
 
