@@ -342,7 +342,8 @@ def detections_of(table: DetectorTable, rig: Rig, views: Views, first: bool = Tr
         raise InputError(
             f"[first_pose] detector: frame {max(frames)} is after the end of the video; name earlier ones."
         )
-    return [detected(table.model, views.recorded(frame), rig, table.people, first) for frame in frames]
+    images = map(views.recorded, frames)
+    return [detected(table.model, each, rig, table.people, first and k == 0) for k, each in enumerate(images)]
 
 
 def _files_at(table: KeypointSet, rig: Rig, frame: int, views: Views | None) -> dict[str, Path]:
