@@ -105,6 +105,18 @@ def test_silhouette_of_a_sphere_lies_on_its_analytic_outline():
     assert abs(np.sqrt(alpha.sum() / np.pi) - np.sqrt(area / np.pi)) < 0.02
 
 
+@pytest.mark.parametrize("away", [(0, 3), (0, -3), (3, 0), (-3, 0)])
+def test_a_body_beyond_an_edge_leaves_the_picture_as_it_is(away: tuple[int, int]):
+    """Also above and below, where the window has no rows."""
+    K = np.array([[300.0, 0, 64], [0, 300.0, 48], [0, 0, 1]])
+    camera = Camera("c", K, look_at([3, 0, 0], [0, 0, 0]), (128, 96))
+    layer = render_body(Posed(body := sphere(0.2, (0.0, *away), n=20), Pose.rest(body)), camera, plain(body))
+    picture = np.full((96, 128, 3), 0.25, np.float32)
+    layer.over(picture)
+    assert layer.pixels.size == 0
+    assert (picture == 0.25).all()
+
+
 def outline_of_sphere(camera: Camera, centre: np.ndarray, radius: float) -> tuple[float, np.ndarray]:
     """Area and centroid (px) of the ellipse that a sphere's tangent cone cuts out of the image."""
     c = se3.apply(camera.T_cam_world, centre[None])[0]

@@ -35,7 +35,7 @@ def write_pose(path: str | Path, body: Body, pose: Pose, proportions: Proportion
     content["q"] = {name: float(value) for name, value in zip(body.coordinate_names, pose.q, strict=True)}
     if proportions is not None:
         content["proportions"] = asdict(proportions)
-    Path(path).write_text(json.dumps(content, indent=1) + "\n")
+    Path(path).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def read_proportions(path: str | Path) -> Proportions | None:

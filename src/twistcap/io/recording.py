@@ -254,13 +254,14 @@ def _start(session: Session, rig: Rig, body: Body, views: Views) -> _Start:
         clicks = read_clicks(table.clicks, rig.names, body.landmarks.names)
         fit = fit_keypoints(body, rig, clicks, fit_lengths=session.fits_lengths)
         return _Start(fit.body, (first,), (fit.pose,), report=start_report(session, rig, body, clicks, fit))
-    if table.detector is not None:
-        numbers = table.detector.frames or (views.indices[0],)
-        own = detections_of(table.detector, rig, views)
-        return _from_instants(session, rig, body, own, tuple(map(float, numbers)), first)
-    assert table.keypoints is not None
-    own = keypoints_of(table.keypoints, rig, views)
-    frames = tuple(number + table.keypoints.offset for number in table.keypoints.frames)
+    with naming(session.source):
+        if table.detector is not None:
+            numbers = table.detector.frames or (views.indices[0],)
+            own, frames = detections_of(table.detector, rig, views), tuple(map(float, numbers))
+        else:
+            assert table.keypoints is not None
+            own = keypoints_of(table.keypoints, rig, views)
+            frames = tuple(number + table.keypoints.offset for number in table.keypoints.frames)
     return _from_instants(session, rig, body, own, frames, first)
 
 

@@ -50,7 +50,7 @@ def write_session(
     save_glb(capture.body, folder / "body.glb")
     _save(folder / "first_pose.npz", _pose_arrays(capture.body, [capture.first_pose]))
     write_truth(capture, folder / "truth.npz")
-    (folder / "session.toml").write_text(session_text(capture, images))
+    (folder / "session.toml").write_text(session_text(capture, images), encoding="utf-8")
     _write_images(capture, folder, images, masks, progress)
     return folder / "session.toml"
 

@@ -124,7 +124,7 @@ def shade(face_index: Int, origin: tuple[int, int], factor: int, drawn: DrawnMes
     samples[rows, cols, :3] = np.clip(look.albedo[garment] * texture * _light(normal, look.lights), 0.0, 1.0)
     samples[rows, cols, 3] = 1.0
     H, W = face_index.shape[0] // factor, face_index.shape[1] // factor
-    rows = samples.reshape(H, factor, -1).sum(axis=1)  # a mean over both axes at once takes twice the time
+    rows = samples.reshape(H, factor, 4 * factor * W).sum(axis=1)  # a mean over both axes at once takes twice the time
     return (rows.reshape(H, W, factor, 4).sum(axis=2) / factor**2).astype(np.float32)
 
 
