@@ -11,9 +11,10 @@ import pytest
 
 from reproduce.measures.surfaces import surface_distances, surface_samples
 from support.commands import refusal, run
-from twistcap.adjust.body_fit import FitRule, Take, fit_body
+from support.finite_differences import check_jacobian
+from twistcap.adjust.body_fit import FitRule, Take, fit_body, parametric
 from twistcap.adjust.body_fit.fields import deformed
-from twistcap.adjust.body_fit.parametric import Parametric, carried_pose, matched, rates_at
+from twistcap.adjust.body_fit.parametric import LengthsTerm, Parametric, carried_pose, matched, rates_at
 from twistcap.adjust.body_fit.symmetry import mirrored_vertices
 from twistcap.body import Pose, Posed, rescaled
 from twistcap.body.anny import _check_surface
@@ -21,6 +22,7 @@ from twistcap.body.gltf import load_glb, save_glb
 from twistcap.body.humanoid import humanoid
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.errors import InputError
+from twistcap.solve import BlockProblem, Variables, Vector
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.scene import ring
 
@@ -65,6 +67,21 @@ def test_rates_are_the_derivatives_of_the_model() -> None:
         (marks, new.landmarks.points - old.landmarks.points),
     ):
         assert np.abs(np.tensordot(step, rates, 1) - moved).max() < 2e-3 * np.abs(moved).max()
+
+
+def test_lengths_pull_the_parameters_as_their_energy_says() -> None:
+    """The term's gradient and value, by finite differences of its energy."""
+    model, at = Stout(), np.array([0.3, -0.2, 0.1])
+    rng, count = np.random.default_rng(1), len(parametric._sigmas(0.01))
+    wanted = parametric._log_lengths(humanoid()) + 0.1 * rng.normal(size=count)
+    term = LengthsTerm(model, wanted, rng.uniform(0.01, 0.1, count))
+
+    def energy(values: np.ndarray) -> float:
+        return term.energy(Variables({"build": Vector(values)}, ("build",)))
+
+    system = BlockProblem([term]).linearised(Variables({"build": Vector(at)}, ("build",)))
+    assert system.value == pytest.approx(energy(at))
+    check_jacobian(energy, system.gradient, at, step=1e-4, rtol=2e-3)
 
 
 def test_steps_stay_within_the_bounds_and_are_exact() -> None:
