@@ -249,6 +249,14 @@ def test_one_key_gives_the_first_pose(filmed: Path, person: Posed) -> None:
     assert len(open_recording(load_session(several)).views) == 2
 
 
+def test_exchanged_cameras_are_told_with_the_session(filmed: Path) -> None:
+    path = session(filmed, 'detector = "pose.onnx"')
+    text = path.read_text()
+    path.write_text(text.replace("videos/cam0", "videos/?").replace("videos/cam1", "videos/cam0").replace("?", "cam1"))
+    with pytest.raises(InputError, match=r"session\.toml: .*agree only if cam0 and cam1 are exchanged"):
+        open_recording(load_session(path))
+
+
 def test_one_option_of_init_gives_clicks(filmed: Path) -> None:
     path = session(filmed, "")
     clicking = clicking_of(load_session(path), path, detector=str(filmed / "pose.onnx"))
