@@ -74,5 +74,5 @@ reproduce: $(VENV)/run.stamp
 	$(PY) -m reproduce $(or $(CASE),--list) $(if $(SEEDS),--seeds $(SEEDS)) $(if $(OUT),--out $(OUT))
 
 clean:
-	rm -rf $(VENV) demo out build dist .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) demo build dist .pytest_cache .ruff_cache .hypothesis
 	find src tests reproduce \( -name '*.nbi' -o -name '*.nbc' \) -delete

@@ -12,6 +12,7 @@ from pygltflib import GLTF2
 
 from support.commands import document, refusal, run
 from twistcap.body import gltf
+from twistcap.differential.settings import DifferentialConfig
 from twistcap.io import exports
 from twistcap.io.provenance import made_of
 from twistcap.io.recording import body_in_words, open_recording
@@ -34,12 +35,12 @@ def test_every_setting_is_listed_with_its_default(capsys: pytest.CaptureFixture[
     listed = {row["key"]: row for row in document(capsys, "session", "--explain")["settings"]}
     page = " ".join(PAGE.read_text(encoding="utf-8").split())
     assert len(listed) <= 45
-    for item in fields(Settings):
-        if item.name != "differential":
-            row = listed[f"tracker.{item.name}"]
-            assert len(row["meaning"]) > 20
-            assert f"**`{item.name}`** (`{row['default']}`):" in page, f"docs/formats/settings.md lacks {item.name}"
-    assert any(key.startswith("tracker.differential.") for key in listed)
+    names = {f"tracker.{item.name}" for item in fields(Settings) if item.name != "differential"}
+    assert names | {f"tracker.differential.{item.name}" for item in fields(DifferentialConfig)} == set(listed)
+    for key, row in listed.items():
+        name = key.rpartition(".")[2]
+        assert len(row["meaning"]) > 20
+        assert f"**`{name}`** (`{row['default']}`):" in page, f"docs/formats/settings.md lacks {name}"
 
 
 def test_the_list_is_readable(capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,7 +26,7 @@ def track(
     frames: Annotated[str | None, typer.Option(help="FIRST:LAST, both included.")] = None,
     scale: Annotated[float | None, typer.Option(help="Resize the images by this factor.")] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on after the last frame of OUT/result.h5, with its body.")
+        bool, typer.Option("--resume", help="Go on from the last saved state of OUT/result.h5, with its body.")
     ] = False,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the frames of an older OUT/result.h5.")
