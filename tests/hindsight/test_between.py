@@ -49,6 +49,16 @@ def test_an_arm_that_was_astray_is_put_on_its_way() -> None:
     assert np.array_equal(poses[ASTRAY.start - 1].q, right[ASTRAY.start - 1].estimate.pose.q)
 
 
+def test_nothing_is_searched_for_where_a_limb_is_expected() -> None:
+    """A body that is begun anew would be looked for at once, wherever it is in doubt."""
+    _, model, right, _, state = walk()
+    there = between._expecting(model, state, right[-2].estimate.pose, right[-2].frame.time)
+    (memory,) = there.searches.values()
+    doubtful = np.ones((len(memory.groups), 11))
+    assert memory.waiting and memory.limb_waiting
+    assert not DoubtRule().due(memory.doubt, doubtful, doubtful)[0]
+
+
 def test_what_was_right_stays() -> None:
     _, model, right, *_ = walk()
     wrong, state = with_astray(range(0))

@@ -62,28 +62,32 @@ def test_what_is_not_seen_is_the_less_sure_the_longer_and_the_wider() -> None:
 
 
 def test_a_limb_with_a_segment_in_no_image_is_not_judged() -> None:
+    """One that has no contour, as a forearm before the trunk, is judged where it is lost."""
     groups = flag_groups(humanoid())
-    none = np.zeros(len(groups), np.bool_)
+    none, shown = np.zeros(len(groups), np.bool_), np.ones(groups.shape[1], np.bool_)
     points = np.full(groups.shape[1], 20, np.int32)
     everything = Agreement(points, points.astype(float), points.astype(float))
-    assert judged(groups, humanoid(), everything, none).all()
-    points = np.where(np.cumsum(groups[2]) == groups[2].sum(), np.where(groups[2], 0, 20), 20).astype(np.int32)
+    assert judged(groups, humanoid(), everything, shown, none).all()
+    last = groups[2] & (np.cumsum(groups[2]) == groups[2].sum())
+    points = np.where(last, 0, 20).astype(np.int32)
     hidden = Agreement(points, points.astype(float), points.astype(float))
-    for lost in (none, ~none):
-        np.testing.assert_array_equal(judged(groups, humanoid(), hidden, lost), np.arange(len(groups)) != 2)
-    assert judged(groups, humanoid(), Agreement(0 * points, 0.0 * points, 0.0 * points), none).all()  # it cannot be all
+    for lost, seen in ((none, ~last), (~none, ~last), (none, shown)):
+        np.testing.assert_array_equal(judged(groups, humanoid(), hidden, seen, lost), np.arange(len(groups)) != 2)
+    assert judged(groups, humanoid(), hidden, shown, ~none).all()
+    nothing = Agreement(0 * points, 0.0 * points, 0.0 * points)
+    assert judged(groups, humanoid(), nothing, shown, none).all()  # it cannot be all
 
 
 def test_a_limb_that_looks_like_what_is_behind_it_is_not_judged_unless_it_is_lost() -> None:
     groups = flag_groups(humanoid())
-    lost = np.zeros(len(groups), np.bool_)
+    lost, shown = np.zeros(len(groups), np.bool_), np.ones(groups.shape[1], np.bool_)
     points = np.full(groups.shape[1], 20, np.int32)
     telling = np.full(groups.shape[1], 9.0)
     telling[groups[2]] = 7.0
     alike = Agreement(points, telling, telling)
-    np.testing.assert_array_equal(judged(groups, humanoid(), alike, lost), np.arange(len(groups)) != 2)
+    np.testing.assert_array_equal(judged(groups, humanoid(), alike, shown, lost), np.arange(len(groups)) != 2)
     lost[2] = True
-    assert judged(groups, humanoid(), alike, lost).all()
+    assert judged(groups, humanoid(), alike, shown, lost).all()
 
 
 def test_a_thigh_that_tells_says_nothing_of_the_shin() -> None:
@@ -92,13 +96,13 @@ def test_a_thigh_that_tells_says_nothing_of_the_shin() -> None:
     groups, none = flag_groups(body), np.zeros(len(flag_groups(body)), np.bool_)
     shin = np.flatnonzero(outer_segments(groups, body)[2])
     assert len(shin) == 2
-    points = np.full(groups.shape[1], 20, np.int32)
+    points, shown = np.full(groups.shape[1], 20, np.int32), np.ones(groups.shape[1], np.bool_)
     points[shin] = 5
     telling = points.astype(float)
-    assert judged(groups, body, Agreement(points, telling, telling), none).all()
+    assert judged(groups, body, Agreement(points, telling, telling), shown, none).all()
     telling[shin] = 1.0
     silent = Agreement(points, telling, telling)
-    np.testing.assert_array_equal(judged(groups, body, silent, none), np.arange(len(groups)) != 2)
+    np.testing.assert_array_equal(judged(groups, body, silent, shown, none), np.arange(len(groups)) != 2)
 
 
 def test_the_outer_half_of_an_arm_is_the_forearm_also_with_a_clavicle() -> None:

@@ -265,8 +265,12 @@ def test_a_switched_light_is_said_in_the_frame_in_which_it_is() -> None:
     dark = [replace(f, images=tuple(np.asarray(i // 2, np.uint8) for i in f.images if i is not None)) for f in frames]
     tracker = Tracker(build(scene.body, scene.rig))
     tracker.start(scene.first_pose)
-    relit = [tracker.step(dark[k] if k >= 14 else frames[k]).relit for k in range(18)]
+    relit, unrest = list[bool](), list[float]()
+    for k in range(18):
+        relit.append(tracker.step(dark[k] if k >= 14 else frames[k]).relit)
+        unrest.append(tracker.state.searches["lost body"].unrest.in_vain.max())
     assert relit == [k == 14 for k in range(18)]
+    assert unrest[14] == 0.0  # no camera was bumped, and bumps that come are not overlooked
 
 
 def test_a_first_frame_without_pictures_is_no_other_light() -> None:

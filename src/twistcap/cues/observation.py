@@ -167,6 +167,13 @@ class Fit:
         return self.posed.pose
 
     @property
+    def shown(self) -> Bool:
+        """(S,) parts of which some view shows something."""
+        S = len(self.posed.body.segment_names)
+        each = [np.bincount(s.seen.part.ravel() + 1, minlength=S + 1)[1:] > 0 for s in self.sights]
+        return np.asarray(np.any(each, axis=0) if each else np.zeros(S), np.bool_)
+
+    @property
     def news(self) -> Float:
         """(6 + J, 6 + J) information of this frame.
 

@@ -30,6 +30,7 @@ from twistcap.hindsight.passed import (
     with_limbs,
 )
 from twistcap.predict.history import Moment
+from twistcap.search.doubt import Doubt
 from twistcap.search.evidence import Evidence
 from twistcap.search.memory import LACKED, LostMemory
 from twistcap.track import Model, State, step
@@ -173,7 +174,7 @@ def _expecting(model: Model, state: State, pose: Pose, time: float) -> State:
     moments = (Moment(time - 2.0 * since, pose), Moment(time - since, pose))
     there = begun(model, state, replace(state.past, moments=moments, seen_time=time - since))
     searches = {
-        name: replace(m, waiting=1, limb_waiting=1) if isinstance(m, LostMemory) else m
+        name: replace(m, waiting=1, limb_waiting=1, doubt=Doubt(2)) if isinstance(m, LostMemory) else m
         for name, m in there.searches.items()
     }
     return replace(there, searches=searches)  # it has been found; nothing is searched for

@@ -78,6 +78,11 @@ class Backdrop:
         """(w, h) of the small images, px."""
         return self.sums.shape[1], self.sums.shape[0]
 
+    def channels_of(self, colours: Float) -> Float:
+        """Of parts' colours (S, 1 + 2K) those of its own C channels (S, 1 + 2C): small pictures have no texture."""
+        C, K = self.sums.shape[2] // 2, colours.shape[1] // 2
+        return colours if C == K else colours[:, [0, *range(1, 1 + C), *range(1 + K, 1 + K + C)]]
+
     @cached_property
     def known(self) -> Bool:
         """(h, w) pixels that have been seen without the body."""

@@ -116,7 +116,7 @@ class BodySearch:
 
     @cached_property
     def _usual(self) -> float:
-        return float(self.known.nats.sum())
+        return float(self.known.nats_in(self.evidence).sum())
 
     @cached_property
     def _witnesses(self) -> int:

@@ -19,10 +19,10 @@ from twistcap.cues.observation import Agreement
 from twistcap.ranges import Checked, Share, Signed
 from twistcap.search.recollection import Check, Recollection
 
-_FEWEST = 8.0  # contour points or covered pixels below which nothing is said of a limb
+FEWEST = 8.0  # contour points or covered pixels below which nothing is said of a limb
 SIGNS = 11
 LACKING, IN_VIEW, DISAGREEING, LATE, SILENT, UNSEEN, FEW = 0, 1, 3, 4, 5, 6, 7  # some of them, see `image_signs`
-JUMPED = 9  # how far it is from where it was expected, m
+FOUND, JUMPED = 8, 9  # whether a search has put it there; how far it is from where it was expected, m
 USUAL = (0.05, 0.1, 0.15)
 """What `contour_signs` say of a limb before a recording has taught what is usual."""
 MOST_USUAL = (0.2, 0.35, 0.4)
@@ -73,14 +73,15 @@ def outer_segments(groups: Bool, body: Body) -> Bool:
     return groups & (joints >= np.array([np.median(joints[own]) if own.any() else 0 for own in groups])[:, None])
 
 
-def judged(groups: Bool, body: Body, agreement: Agreement, lost: Bool) -> Bool:
-    """(G,) groups of segments (G, S) that are judged: some image shows all of them, and they are `lost` (G,) or enough
-    of their contour points tell them from what is behind them, also of those of the outer half: a thigh says nothing of
+def judged(groups: Bool, body: Body, agreement: Agreement, shown: Bool, lost: Bool) -> Bool:
+    """(G,) groups of segments (G, S) that are judged: all of them are `shown` (S,) and `lost` (G,), or all have contour
+    points, of which enough tell them from what is behind them, also of those of the outer half: a thigh says nothing of
     the shin. All where that is none.
     """
     parts = groups, outer_segments(groups, body)
     telling = np.all([p @ agreement.telling >= _CONTRAST * (p @ agreement.points) for p in parts], axis=0)
-    known = ~(groups & (agreement.points == 0)).any(axis=1) & (telling | lost)
+    hidden, without_contour = ((groups & ~of).any(axis=1) for of in (shown, agreement.points > 0))
+    known = (lost & ~hidden) | (telling & ~without_contour)
     return np.asarray(known if known.any() else ~known, np.bool_)
 
 
@@ -94,13 +95,13 @@ def image_signs(
     limb is not seen at all; and cameras that see it, short of three.
     """
     weights = groups.T.astype(float)
-    taught = known.pixels.sum(axis=0) @ weights > _FEWEST  # before, evidence says nothing of a limb
+    taught = known.pixels.sum(axis=0) @ weights > FEWEST  # before, evidence says nothing of a limb
     clear, in_view = lacking(groups, known, check)
     more = np.maximum((check.uncovered - known.uncovered).sum(axis=0) @ weights, 0.0)
     bare = np.where(taught, more / np.maximum(known.nats.sum(axis=0) @ weights, 1.0), 0.0)
     contour = contour_signs(groups, agreement, support) - usual
     unseen = np.where(taught, hidden(groups, known, check), 0.0)
-    few = np.where(taught, np.maximum(3 - (check.pixels @ weights > _FEWEST).sum(axis=0), 0), 0)
+    few = np.where(taught, np.maximum(3 - (check.pixels @ weights > FEWEST).sum(axis=0), 0), 0)
     return np.column_stack([clear, in_view, bare, contour, unseen, few])
 
 
@@ -109,7 +110,7 @@ def contour_signs(groups: Bool, agreement: Agreement, support: Float) -> Float:
     those of late that do not, in the segment with most; and fraction of those that tell nothing.
     """
     points, agreeing, telling = (groups @ a for a in (agreement.points, agreement.agreeing, agreement.telling))
-    many, total = points >= _FEWEST, np.maximum(points, 1.0)
+    many, total = points >= FEWEST, np.maximum(points, 1.0)
     late = [(1.0 - support[group]).max() for group in groups]
     against, silent = (telling - agreeing) / total, 1.0 - telling / total
     return np.column_stack([np.where(many, against, 0.0), late, np.where(many, silent, 1.0)])
@@ -137,8 +138,8 @@ def lacking(groups: Bool, known: Recollection, check: Check) -> tuple[Float, Flo
     """
     usual = (known.usual * check.pixels) @ groups.T.astype(float)
     less, total = usual - check.nats @ groups.T.astype(float), usual.sum(axis=0)
-    all_views = np.where(total > _FEWEST, less.sum(axis=0) / np.maximum(total, 1e-9), 0.0)
-    return all_views, np.where(usual > _FEWEST, less / np.maximum(usual, 1e-9), 0.0).max(axis=0)
+    all_views = np.where(total > FEWEST, less.sum(axis=0) / np.maximum(total, 1e-9), 0.0)
+    return all_views, np.where(usual > FEWEST, less / np.maximum(usual, 1e-9), 0.0).max(axis=0)
 
 
 def shortfall(signs: Float) -> Float:

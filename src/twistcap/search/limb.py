@@ -23,9 +23,9 @@ from twistcap.camera.projection import projected
 from twistcap.ranges import Checked, Count, Share
 from twistcap.search.draws import about, anywhere
 from twistcap.search.evidence import Evidence
-from twistcap.search.flag import DISAGREEING, IN_VIEW, LACKING, LATE, SILENT, UNSEEN, hidden, lacking
+from twistcap.search.flag import DISAGREEING, FEWEST, IN_VIEW, LACKING, LATE, SILENT, UNSEEN, hidden, lacking
 from twistcap.search.placing import points_evidence
-from twistcap.search.recollection import Check, Judged, Recollection
+from twistcap.search.recollection import Check, Judged, Recollection, fitted_at
 from twistcap.search.redrawn import RedrawnLimb, drawn
 
 _POINTS = 40  # of a limb's surface, by which its places are judged roughly
@@ -142,7 +142,7 @@ def regained(
     if not evidence.views:
         return None
     rng, masks = np.random.default_rng(seed), limbs(now.problem.body)
-    pose, found, usual = now.fit.pose, list[int](), known.nats.sum(axis=0) @ groups.T
+    pose, found, usual = now.fit.pose, list[int](), known.nats_in(evidence) @ groups.T
     before = most = evidence.of(pose)
     for i in asked:
         worth = 0.0 if sure else max(rule.gain, rule.worth * float(usual[i]))
@@ -155,18 +155,19 @@ def regained(
     gain = evidence.of(fit.pose) - before
     if gain < max(rule.gain, rule.share * float(usual[found].sum())):
         return None
-    other = Judged(now.problem, fit, known.check(fit.posed, fit.sights, now.problem))
-    less = np.mean(_wrong(known, now, groups)[found] - _wrong(known, other, groups)[found])
+    other = fitted_at(known, now.problem, fit)
+    telling = np.min([groups @ of.fit.agreement.points for of in (now, other)], axis=0) >= FEWEST
+    less = np.mean(_wrong(known, now, groups, telling)[found] - _wrong(known, other, groups, telling)[found])
     gained = gain / max(float(usual[found].sum()), _LITTLE)
     return (other, found) if rule.believed(gained, float(less)) else None
 
 
-def _wrong(known: Recollection, now: Judged, groups: Bool) -> Float:
-    """(G,) the greatest of what tells that a group of segments is wrong: the evidence that it lacks, the fraction of
-    contour points that do not agree, and how much of it is hidden.
+def _wrong(known: Recollection, now: Judged, groups: Bool, telling: Bool) -> Float:
+    """(G,) the greatest of what tells that a group of segments is wrong: the evidence that it lacks, how much of it is
+    hidden and, where its contour is telling (G,), the fraction of contour points that do not agree.
     """
     points, agreeing = groups @ now.fit.agreement.points, groups @ now.fit.agreement.agreeing
-    silent = 1.0 - agreeing / np.maximum(points, 1.0)
+    silent = np.where(telling, 1.0 - agreeing / np.maximum(points, 1.0), 0.0)
     return np.max([lacking(groups, known, now.check)[0], silent, hidden(groups, known, now.check)], axis=0)
 
 

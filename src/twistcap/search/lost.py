@@ -27,7 +27,7 @@ from twistcap.search.doubt import Doubt, DoubtRule
 from twistcap.search.flag import MOST_USUAL, USUAL, at_limits, contour_signs, displaced, flag_groups, image_signs
 from twistcap.search.limb import LimbRule, regained, taught
 from twistcap.search.memory import LostMemory
-from twistcap.search.recollection import Judged, Recollection, fitted
+from twistcap.search.recollection import Judged, Recollection, fitted, fitted_at
 from twistcap.search.surroundings import Surroundings
 from twistcap.search.swap import SwapRule
 from twistcap.stages import stage
@@ -115,9 +115,9 @@ class LostBody(Checked):
         if not problem.past.started and problem.views:  # contours may agree better beside the first pose
             other = limbs_beside(self.beside, problem, beside(self.beside, problem, fit), memory.groups)
             if other is not fit:
-                now = Judged(problem, other, known.check(other.posed, other.sights, problem))
-                return self._at(problem, other), self._learned(self._signed(memory, now), now, 1.0)
-        now = Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
+                now = fitted_at(known, problem, other)
+                return self._at(problem, other, problem.start), self._learned(self._signed(memory, now), now, 1.0)
+        now = fitted_at(known, problem, fit)
         sources, now = self.swap.sorted_by(known, now, memory.frames)
         bumps, unrest = self.bump.bumps(memory.unrest, known, now)
         now = fitted(known, now.problem.turned_back(bumps)) if bumps else now
@@ -136,7 +136,8 @@ class LostBody(Checked):
         if not known.sure:
             return None, self._learned(self._signed(memory, now), now, 1.0)
         if (again := self._fitted_without_look(known, now)) is not None:
-            memory = replace(memory, known=known.forgotten(), frames=1)
+            still = Unrest.none(len(problem.rig))
+            memory = replace(memory, known=known.forgotten(), frames=1, unrest=still, lately=None, lacked=None)
             memory = self._learned(self._signed(memory, again), again, 1.0)
             return Revision(again.fit, problem.past.moments[-1], left_out=frozenset(), relit=True), memory
         usual_known = memory.frames > self.lessons
@@ -217,9 +218,9 @@ class LostBody(Checked):
         return now, rested(last, now.fit.pose, coordinates), memory
 
     def _due_limbs(self, memory: LostMemory, now: Judged) -> list[int]:
-        """Limbs that are looked at unasked: those that slip, else all where the body's colours lie bare."""
+        """Limbs that are looked at unasked: all where the body's colours lie bare, else those that slip."""
         slipping = [] if memory.signs is None else self.limb.slipping(memory.signs)
-        return slipping or self.limb.due(memory.known, now.check, memory.groups, memory.frames)
+        return self.limb.due(memory.known, now.check, memory.groups, memory.frames) or slipping
 
     def _lost_limbs(self, memory: LostMemory) -> list[int]:
         return [] if memory.signs is None or memory.lately is None else self.limb.lost(memory.signs, memory.lately)
@@ -250,12 +251,14 @@ class LostBody(Checked):
         return replace(memory, known=known)
 
     def _elsewhere(self, memory: LostMemory, now: Judged, ratio: float) -> tuple[Revision | None, LostMemory]:
-        """The body found elsewhere; nowhere, if the fit is not on it either."""
+        """The body found elsewhere; nowhere, if the fit is not on it either. The signs stay those of the fit that was
+        lost: who comes back is often found in a wrong place first.
+        """
         problem = now.problem
         pose = None if memory.waiting else self._searched(memory, problem, now.fit.pose)
         if pose is not None:
             memory = replace(self._found(memory), waiting=0, doubt=Doubt())  # `due` is first asked in the next frame
-            return self._at(problem, problem.afresh(pose, self.whole.margin)), memory
+            return self._at(problem, problem.afresh(pose, self.whole.margin), problem.start), memory
         nowhere = ratio < self.none
         memory = replace(memory, waiting=(memory.waiting or self.again) - 1, nowhere=nowhere)
         return (Revision(None, problem.past.moments[-1]) if nowhere else None), memory
@@ -273,15 +276,17 @@ class LostBody(Checked):
         pose = self._searched(memory, problem, here, self.doubt.gain)
         if pose is not None and np.linalg.norm(pose.root[:3, 3] - here.root[:3, 3]) < self.doubt.near:
             fit, evidence = problem.align(pose), memory.known.evidence(problem)
-            if evidence.of(fit.pose) > evidence.of(here) + self.doubt.gain * float(memory.known.nats.sum()):
+            usual = float(memory.known.nats_in(evidence).sum())
+            if evidence.of(fit.pose) > evidence.of(here) + self.doubt.gain * usual:
                 found = np.where(displaced(memory.groups, fit.posed, here) > self.doubt.moved, 1.0, memory.found)
-                return self._at(problem, fit), replace(memory, doubt=self.doubt.settled, found=found)
+                memory = replace(memory, doubt=self.doubt.settled, found=found)
+                return self._at(problem, fit, here), self._signed(memory, fitted_at(memory.known, problem, fit))
         return None, replace(memory, doubt=self.doubt.in_vain(doubt))
 
-    def _at(self, problem: Problem, fit: Fit) -> Revision:
-        """The body elsewhere: the way there was no motion, nor was what no body does."""
+    def _at(self, problem: Problem, fit: Fit, instead: Pose) -> Revision:
+        """The body elsewhere, instead of at a pose: the way there was no motion, nor was what no body does."""
         before = problem.past.moments[-1]
-        last = jumped(before, fit.pose.minus(problem.start), fit.pose)
+        last = jumped(before, fit.pose.minus(instead), fit.pose)
         moved = np.linalg.norm((fit.pose.root - last.pose.root)[:3, 3])
         if moved > self.whole.speed * (problem.frame.time - before.time):
             last = replace(last, pose=fit.pose)
@@ -301,8 +306,8 @@ class LostBody(Checked):
             if not evidence.views:
                 return None
             evidence = evidence.no_nearer((memory.surely or last_seen(problem.past)).pose)
-            more = (self.whole.better if better is None else better) * float(memory.known.nats.sum())
-            least = None if here is None else evidence.of(here) + more
+            more = self.whole.better if better is None else better
+            least = None if here is None else evidence.of(here) + more * float(memory.known.nats_in(evidence).sum())
             proposed = () if self.proposals is None else self.proposals(problem)
             search = BodySearch(self.whole, self.limb, memory.known, problem, evidence, memory.surely, proposed)
             return search.found(least)

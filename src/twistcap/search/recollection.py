@@ -12,7 +12,7 @@ from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues.observation import Fit, Sight
 from twistcap.search import Problem
-from twistcap.search.backdrop import Backdrop, small_camera, small_features
+from twistcap.search.backdrop import PX_PER_M, Backdrop, small_camera, small_features
 from twistcap.search.evidence import Evidence, EvidenceView, evidence_maps, sampled_evidence
 from twistcap.search.placing import Stance
 from twistcap.search.surroundings import Surroundings
@@ -25,7 +25,7 @@ _MEMORY = 0.95  # share of the usual evidence that is kept from frame to frame
 _CLEAR = 2.0  # nats for each pixel of a body of which nothing else is known
 _FEW, _ENOUGH = 20.0, 150.0  # pixels below which nothing is said of a camera or part, and of the body
 _TELLING = 0.2  # nats for each pixel below which the body's colours are not those that it has, or the background's
-_SAMPLES = 36.0  # per m, pixels that are looked at in every frame
+_SAMPLES = 36.0  # per m, pixels that are looked at in every frame, where small pictures have `PX_PER_M`
 
 
 @dataclass(frozen=True)
@@ -109,6 +109,10 @@ class Recollection:
         """Whether enough of the body has been seen, in colours that differ from the background's, to judge by it."""
         return float(self.pixels.sum()) >= _ENOUGH and float(self.nats.sum()) >= _TELLING * float(self.pixels.sum())
 
+    def nats_in(self, evidence: Evidence) -> Float:
+        """(S,) usual evidence of each part in the cameras that tell something now."""
+        return self.nats[[view.index for view in evidence.views]].sum(axis=0)
+
     def in_sight(self, covered: Covered) -> float:
         """How many pixels a body covers, over what is usual."""
         return float(covered.pixels.sum() / max(self.pixels.sum(), 1e-9))
@@ -139,15 +143,15 @@ class Recollection:
             i, view, backdrop = sight.camera_index, sight.view, self.backdrops[sight.camera_index]
             if backdrop.size == (0, 0):
                 continue
-            stride = max(1, round(sight.seen.px_per_m / _SAMPLES))
-            x, y = view.origin
-            grid = (x, y, backdrop.size[0] / problem.rig[i].size[0], stride)
-            colours = problem.colours(i, view.features.shape[2])
-            found = sampled_evidence(
+            stride, factor = max(1, round(sight.seen.px_per_m / _SAMPLES)), backdrop.size[0] / problem.rig[i].size[0]
+            (x, y), each = view.origin, (stride * factor * _SAMPLES / PX_PER_M) ** 2  # whatever the stride
+            grid = (x, y, factor, stride)
+            colours = backdrop.channels_of(problem.colours(i, view.features.shape[2]))
+            found, fits = sampled_evidence(
                 view.features, sight.seen.part, grid, backdrop.background, backdrop.palette, colours, CLIP,
                 beside,
             )  # fmt: skip
-            out[:, i], fits = found
+            out[:, i] = each * found
             fitting[i] = fits[0] / fits[1] if fits[1] else np.nan
         return Check(out[0], out[1], out[2], fitting)
 
@@ -190,7 +194,7 @@ class Recollection:
             features = small_features(image, camera.size, problem.channels)
             if not backdrop.is_in(features):
                 continue
-            colours = problem.colours(i, features.shape[2])
+            colours = backdrop.channels_of(problem.colours(i, features.shape[2]))
             views.append(
                 EvidenceView(i, camera, evidence_maps(features, backdrop.background, backdrop.palette, colours, CLIP))
             )
@@ -208,5 +212,9 @@ class Judged:
 
 def fitted(known: Recollection, problem: Problem) -> Judged:
     """A problem fitted anew."""
-    fit = problem.align(problem.start)
+    return fitted_at(known, problem, problem.align(problem.start))
+
+
+def fitted_at(known: Recollection, problem: Problem, fit: Fit) -> Judged:
+    """A problem with a fit, and how its pictures agree with that."""
     return Judged(problem, fit, known.check(fit.posed, fit.sights, problem))

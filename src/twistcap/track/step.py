@@ -183,7 +183,9 @@ def _loss(state: State, model: Model, fit: Fit) -> tuple[Float, float]:
         signs, lately = memory.signs, memory.lately
     deviation = segment_deviations(fit.posed, state.covariance)
     limbs = model.flag.limbs(signs, lately, np.array([deviation[group].max() for group in groups]))
-    said = judged(groups, model.body, fit.agreement, limbs >= model.flag.lost)
+    lost = limbs >= model.flag.lost
+    shown = fit.shown if lost.any() else np.zeros(groups.shape[1], np.bool_)  # which takes time, and says no more
+    said = judged(groups, model.body, fit.agreement, shown, lost)
     return np.where(said, limbs, np.nan)[groups.argmax(axis=0)], model.flag.whole(limbs[said], signs)
 
 
