@@ -89,8 +89,8 @@ class Noting(FlagRule):
         return found
 
     def of(self, limbs: Float) -> tuple[Float, Float, Float]:
-        """By what limbs (G,) of one frame were judged; each by its own, should they be of two tracks. One that hindsight
-        has doubted since then is as the others of its frame.
+        """By what limbs (G,) of one frame were judged; each by its own, should they be of two tracks. One that
+        hindsight has doubted since then is as the others of its frame.
         """
         each = {g: self.notes[g, float(p)] for g, p in enumerate(limbs) if (g, float(p)) in self.notes}
         signs, lately, deviation = (array.copy() for array in next(iter(each.values())))
