@@ -9,18 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from support.faulty_walk import tracked_walk, walk
+from support.faulty_walk import expecting, tracked_walk, walk
 from twistcap import se3
 from twistcap.body import Pose, Posed
 from twistcap.body.model import partners
-from twistcap.predict import Prediction
 from twistcap.search import Problem
 from twistcap.search.doubt import Doubt, DoubtRule
 from twistcap.search.lost import LostBody
 from twistcap.search.memory import LostMemory
-from twistcap.search.recollection import Judged
+from twistcap.search.recollection import fitted_at
 from twistcap.track import Tracker
-from twistcap.track.step import posed_problem
 
 FRAME = 12
 
@@ -83,15 +81,15 @@ def test_a_body_that_has_been_found_is_looked_for_again_one_and_five_frames_late
 @pytest.mark.parametrize(("wrong", "gain", "found"), [(True, 0.04, True), (True, 9.0, False), (False, 0.04, False)])
 def test_limbs_that_are_wrong_together_are_found_together(wrong: bool, gain: float, found: bool) -> None:
     """All limbs are where those of the other side belong."""
-    scene, frames = walk()
+    scene, _ = walk()
     *_, (_, tracker) = islice(tracked_walk(lambda frame: frame), FRAME)
-    here, none = scene.true_poses[FRAME], np.zeros((scene.body.dof,) * 2)
+    here = scene.true_poses[FRAME]
     start = Pose(here.root, here.q[partners(scene.body.coordinate_names)]) if wrong else here
-    problem = posed_problem(tracker.state, frames[FRAME], tracker.model, Prediction(start, "hold", none, none))
+    problem = expecting(tracker, FRAME, start)
     fit, memory = problem.measured(start), tracker.state.searches["lost body"]
     doubtful = np.ones_like(memory.lately)
     memory = replace(memory, doubt=Doubt(), signs=doubtful, lately=doubtful)
-    now = Judged(problem, fit, memory.known.check(fit.posed, fit.sights, problem))
+    now = fitted_at(memory.known, problem, fit)
     revision, after = LostBody(doubt=DoubtRule(gain=gain))._reconsidered(memory, now)
     assert (revision is not None) == found
     assert after.doubt == (DoubtRule().settled if found else Doubt(DoubtRule().again, DoubtRule().again))

@@ -8,26 +8,20 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from support.faulty_walk import tracked_walk, walk
+from support.faulty_walk import expecting, tracked_walk, walk
 from twistcap.build import build
-from twistcap.predict import Prediction
 from twistcap.render.view import RenderedView
 from twistcap.search.recollection import Recollection
 from twistcap.settings import Settings
 from twistcap.track import Tracker
 from twistcap.track.align import FrameProblem
-from twistcap.track.step import posed_problem
 
 FRAME = 12
 
 
 def problem_of(tracker: Tracker) -> FrameProblem:
     """The frame after `FRAME` frames, with the body where it is."""
-    scene, frames = walk()
-    none = np.zeros((scene.body.dof,) * 2)
-    return posed_problem(
-        tracker.state, frames[FRAME], tracker.model, Prediction(scene.true_poses[FRAME], "hold", none, none)
-    )
+    return expecting(tracker, FRAME, walk()[0].true_poses[FRAME])
 
 
 def known_of(tracker: Tracker) -> Recollection:

@@ -11,8 +11,11 @@ import numpy as np
 from twistcap.body import Pose, Posed
 from twistcap.build import build
 from twistcap.estimate import Frame
+from twistcap.predict import Prediction
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Tracker
+from twistcap.track.align import FrameProblem
+from twistcap.track.step import posed_problem
 
 FAULT = range(16, 34)
 """Frames that a test may change."""
@@ -55,6 +58,13 @@ def tracked_walk(faulty: Callable[[Frame], Frame], first: Pose | None = None) ->
         tracker.start(first or scene.first_pose)
     for k, frame in enumerate(frames[len(begun) :], len(begun)):
         yield _off(tracker.step(faulty(frame) if k in FAULT else frame).pose, k), tracker
+
+
+def expecting(tracker: Tracker, frame: int, pose: Pose) -> FrameProblem:
+    """A frame as a problem, where the body is expected at a pose."""
+    scene, frames = walk()
+    none = np.zeros((scene.body.dof,) * 2)
+    return posed_problem(tracker.state, frames[frame], tracker.model, Prediction(pose, "hold", none, none))
 
 
 def empty(frame: Frame) -> Frame:

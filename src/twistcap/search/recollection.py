@@ -25,7 +25,7 @@ _MEMORY = 0.95  # share of the usual evidence that is kept from frame to frame
 _CLEAR = 2.0  # nats for each pixel of a body of which nothing else is known
 _FEW, _ENOUGH = 20.0, 150.0  # pixels below which nothing is said of a camera or part, and of the body
 _TELLING = 0.2  # nats for each pixel below which the body's colours are not those that it has, or the background's
-_SAMPLES = 36.0  # per m, pixels that are looked at in every frame, where small pictures have `PX_PER_M`
+_SAMPLES = 36.0  # per m, pixels that are looked at in every frame; evidence counts as if small pictures had as many
 
 
 @dataclass(frozen=True)
@@ -143,15 +143,15 @@ class Recollection:
             i, view, backdrop = sight.camera_index, sight.view, self.backdrops[sight.camera_index]
             if backdrop.size == (0, 0):
                 continue
-            stride, factor = max(1, round(sight.seen.px_per_m / _SAMPLES)), backdrop.size[0] / problem.rig[i].size[0]
-            (x, y), each = view.origin, (stride * factor * _SAMPLES / PX_PER_M) ** 2  # whatever the stride
-            grid = (x, y, factor, stride)
+            stride = max(1, round(sight.seen.px_per_m / _SAMPLES))
+            factor = backdrop.size[0] / problem.rig[i].size[0]  # small pixels in a pixel
+            grid = (*view.origin, factor, stride)
             colours = backdrop.channels_of(problem.colours(i, view.features.shape[2]))
             found, fits = sampled_evidence(
                 view.features, sight.seen.part, grid, backdrop.background, backdrop.palette, colours, CLIP,
                 beside,
             )  # fmt: skip
-            out[:, i] = each * found
+            out[:, i] = found * (stride * factor * _SAMPLES / PX_PER_M) ** 2  # as much with any stride
             fitting[i] = fits[0] / fits[1] if fits[1] else np.nan
         return Check(out[0], out[1], out[2], fitting)
 

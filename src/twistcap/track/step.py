@@ -184,7 +184,7 @@ def _loss(state: State, model: Model, fit: Fit) -> tuple[Float, float]:
     deviation = segment_deviations(fit.posed, state.covariance)
     limbs = model.flag.limbs(signs, lately, np.array([deviation[group].max() for group in groups]))
     lost = limbs >= model.flag.lost
-    shown = fit.shown if lost.any() else np.zeros(groups.shape[1], np.bool_)  # which takes time, and says no more
+    shown = fit.shown if lost.any() else np.zeros(groups.shape[1], np.bool_)  # needed of lost limbs alone; takes time
     said = judged(groups, model.body, fit.agreement, shown, lost)
     return np.where(said, limbs, np.nan)[groups.argmax(axis=0)], model.flag.whole(limbs[said], signs)
 
