@@ -21,6 +21,7 @@ from twistcap.search.body import BodyRule, BodySearch
 from twistcap.search.exchange import MiddlesTerm, exchanged
 from twistcap.search.limb import LimbRule
 from twistcap.search.placing import Hypothesis, PlacingRule
+from twistcap.search.stances import turned_round
 from twistcap.track.step import posed_problem
 
 FRAME = 12
@@ -76,26 +77,39 @@ def test_middles_against_differences() -> None:
     assert found.value == term.energy(Posed(body, pose))
 
 
-@pytest.mark.parametrize("exchanging", [True, False])
-def test_legs_that_have_been_taken_for_each_other_are_set_right(
-    exchanging: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By a search that tries nothing else."""
+def _off_from(wrong: Pose, monkeypatch: pytest.MonkeyPatch) -> float:
+    """m by which landmarks are off at most after a search that tries nothing else than a pose."""
     scene, frames = walk()
     *_, (_, tracker) = islice(tracked_walk(lambda frame: frame), FRAME)
-    truth, none = scene.true_poses[FRAME], np.zeros((scene.body.dof,) * 2)
-    wrong = exchanged(scene.body, truth)[-1]
+    none = np.zeros((scene.body.dof,) * 2)
     problem = posed_problem(tracker.state, frames[FRAME], tracker.model, Prediction(wrong, "hold", none, none))
     known = tracker.state.searches["lost body"].known
-    if not exchanging:
-        monkeypatch.setattr(whole_body, "exchanged", lambda body, pose: [])
     monkeypatch.setattr(BodySearch, "_worth", lambda self: [self._placing.hypothesis(wrong)])
     monkeypatch.setattr(BodySearch, "_with_limbs_placed", lambda self, h, turn=0: h)
     rule = BodyRule(accepted=0.0, rounds=1, placing=PlacingRule(draws=1))
     found = BodySearch(rule, LimbRule(), known, problem, known.evidence(problem)).found()
     assert found is not None
-    off = np.linalg.norm(Posed(scene.body, found).landmarks - scene.landmarks[FRAME], axis=1).max()
-    assert (off < 0.05) == exchanging
+    return float(np.linalg.norm(Posed(scene.body, found).landmarks - scene.landmarks[FRAME], axis=1).max())
+
+
+@pytest.mark.parametrize("exchanging", [True, False])
+def test_legs_that_have_been_taken_for_each_other_are_set_right(
+    exchanging: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, _ = walk()
+    wrong = exchanged(scene.body, scene.true_poses[FRAME])[-1]
+    if not exchanging:
+        monkeypatch.setattr(whole_body, "exchanged", lambda body, pose: [])
+    assert (_off_from(wrong, monkeypatch) < 0.05) == exchanging
+
+
+@pytest.mark.parametrize("turning", [True, False])
+def test_a_body_that_faces_the_wrong_way_is_turned_round(turning: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, _ = walk()
+    wrong = turned_round(scene.body, scene.true_poses[FRAME])
+    if not turning:
+        monkeypatch.setattr(whole_body, "turned_round", lambda body, pose: pose)
+    assert (_off_from(wrong, monkeypatch) < 0.05) == turning
 
 
 def test_a_look_again_sets_out_from_the_best_other_pose_of_the_body_there_as_well() -> None:

@@ -23,7 +23,7 @@ from twistcap.search.exchange import exchanged
 from twistcap.search.limb import LimbRule, placed
 from twistcap.search.placing import Hypothesis, Placing, PlacingRule, away
 from twistcap.search.recollection import Covered, Recollection
-from twistcap.search.stances import bundled, lowest
+from twistcap.search.stances import bundled, lowest, turned_round
 from twistcap.threads import in_parallel
 
 
@@ -42,7 +42,8 @@ class BodyRule(Checked):
         limbed: hypotheses whose limbs are looked for one after the other; they may be as they never were before.
         rounds, little: of draws about the best one, and of looking for its limbs, as long as a round gains more than
             this fraction of what is usual.
-        close: how much less evidence than the best one a body with exchanged limbs may have, and be tried.
+        close: how much less evidence than the best one a body with exchanged limbs, or one that faces the other way,
+            may have, and be tried.
         placing: of the hypotheses.
     """
 
@@ -100,7 +101,9 @@ class BodySearch:
             return None
         starts = [first, *self._beside(first, fitted)] if least is not None else [first]
         best = max(in_parallel(self._settled, starts), key=self._rank)
-        for other in in_parallel(self._fitted_twice, exchanged(self.problem.body, best.pose)):
+        body = self.problem.body
+        others = [*exchanged(body, best.pose), turned_round(body, best.pose)]
+        for other in in_parallel(self._fitted_twice, others):
             if other.nats > best.nats - self.rule.close * self._usual:
                 best = max(best, self._settled(other), key=self._rank)
         return best.pose if self._ratio(best) >= self.rule.accepted and (least is None or best.nats >= least) else None
