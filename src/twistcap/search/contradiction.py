@@ -155,11 +155,18 @@ def _taken_back(
 
 
 def _agrees(rule: ContradictionRule, memory: Suspicion, known: Recollection, camera: int, others: Judged) -> bool:
-    """Whether a camera that is left out agrees with the others by now."""
+    """Whether a camera that is left out agrees with the others by now: where they see the body, or all together."""
     check = _there(known, camera, others)
     if camera not in memory.moved:
-        return bool(known.ratios(check, rule.clear)[camera] >= rule.right)
+        return bool(known.ratios(check, rule.clear)[camera] >= rule.right) or _together(rule, known, camera, others)
     return bool(check.fitting[camera] >= rule.right * known.fitting[camera]) or _still(rule, known, camera, others)
+
+
+def _together(rule: ContradictionRule, known: Recollection, camera: int, others: Judged) -> bool:
+    """Whether no camera is suspect in a fit with one that is left out. Few others hardly say where all of a body is."""
+    again = fitted(known, others.problem.excluding(others.problem.left_out - {camera}))
+    each = known.ratios(again.check, rule.clear)
+    return bool(each[camera] >= rule.right and np.nanmin(each) >= rule.right)
 
 
 def _still(rule: ContradictionRule, known: Recollection, camera: int, others: Judged) -> bool:
