@@ -30,7 +30,8 @@ class ContradictionRule(Checked):
         suspect: evidence in a camera below which the others are asked.
         agreeing: evidence in the others, fitted without it, from which on they are believed.
         wrong: evidence in it, at the place where they see the body, below which it is left out.
-        right: evidence there from which on it is taken back; or the fraction of the background, if that has decided.
+        right: evidence there, or in all cameras where they are fitted together, from which on it is taken back; or the
+            fraction of the background, if that has decided.
         believed: evidence in the others below which they have lost the body, and all cameras are taken back.
         background: fraction of the background that fits, over what is usual, below which a camera has moved.
         steady: the same, from which on another camera has not: noise and light are no motion of cameras; and the
