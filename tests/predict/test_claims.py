@@ -128,14 +128,14 @@ def test_of_independent_samples_the_residuals_tell_the_variance() -> None:
 @pytest.mark.parametrize("trust", [1.0, 0.4])
 def test_a_claim_is_the_variance_of_what_the_gain_makes_of_prediction_and_images(trust: float) -> None:
     posed, terms = contours()
-    terms = [moved(term, np.full(len(term.weight), NOISE_PX)) for term in terms]
+    terms = [moved(term, np.full(len(term.weight), 1.5 * NOISE_PX)) for term in terms]
     information, together = information_of(terms, posed), shared_variance(terms, posed)
     prior = np.diag(np.linspace(50.0, 500.0, len(information)))
     share = trust / INFLATION**2
     posterior = np.asarray(np.linalg.inv(prior + share * information), np.float64)
     factor = factor_of(terms, posed)
-    assert factor == pytest.approx(1.0, rel=0.05)
-    gradients = share**2 / trust * factor * (information + factor * OFFSET**2 * together)
+    assert factor == pytest.approx(2.25, rel=0.05)
+    gradients = share**2 / trust * factor * (information + (factor * OFFSET) ** 2 * together)
     expected = posterior @ (prior + gradients) @ posterior
     np.testing.assert_allclose(
         claimed(posterior, information, fit_of(posed, terms), trust), expected, rtol=1e-4, atol=1e-9

@@ -21,7 +21,7 @@ from twistcap.solve import covariance, inverse
 from twistcap.terms import Quadratic
 from twistcap.terms.shared import add_shared_variance
 
-OFFSET = 0.004
+OFFSET = 0.005
 """m, standard deviation of each shared error, where residuals are as large as the noise says. The one factor on what is
 claimed; derived in docs/concepts/covariance.md."""
 
@@ -43,9 +43,9 @@ def claimed(posterior: Float, images: Float, fit: Fit, trust: float = 1.0) -> Fl
     together, posed = np.zeros_like(images), fit.before
     for _, points, rows in fit.entered:
         add_shared_variance(points.bound_to(posed), rows.gradient, rows.weight, posed.projector, together)
-    # Shared errors fall with the residuals themselves: a body that fits twice as well lies half as far off.
+    # Shared errors are in proportion to it. Robust energies grow less than squares do: a worse fit is worse than it says.
     # Gradients enter the posterior times trust / INFLATION²; their variance is taken out, and the true one put in.
-    true = factor / INFLATION**2 * (images + factor * OFFSET**2 * together)
+    true = factor / INFLATION**2 * (images + (factor * OFFSET) ** 2 * together)
     found = posterior + posterior @ (true - images) @ posterior * (trust / INFLATION**2)
     return 0.5 * (found + found.T)
 
