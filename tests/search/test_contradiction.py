@@ -120,13 +120,13 @@ def test_cameras_come_back_where_the_others_say_that_they_have_lost_the_body(evi
     assert out == left
 
 
-def _off(turned: bool, off: tuple[float, float, float]) -> tuple[State, Judged]:
-    """A frame whose second camera, left out, may be turned, and in which the others think the body to be m off."""
+def _thought_away(turned: bool, by: tuple[float, float, float]) -> tuple[State, Judged]:
+    """A frame whose second camera, left out, may be turned, and in which the others think the body to be away by m."""
     state, scene = replace(_tracked(), left_out=(1,)), _scene()
     model, frame = build(scene.body, scene.rig), _frames()[BEFORE]
     images, here = list(frame.images), state.past.last
     images[1] = np.roll(images[1], 40, axis=1) if turned and images[1] is not None else images[1]
-    away = Pose(se3.transform(here.root[:3, :3], here.root[:3, 3] + off), here.q)
+    away = Pose(se3.transform(here.root[:3, :3], here.root[:3, 3] + by), here.q)
     none = np.zeros((scene.body.dof, scene.body.dof))
     problem = posed_problem(state, replace(frame, images=tuple(images)), model, Prediction(away, "hold", none, none))
     known, fit = _memory(state).known, problem.measured(away)
@@ -137,7 +137,7 @@ def _off(turned: bool, off: tuple[float, float, float]) -> tuple[State, Judged]:
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_camera_that_stands_again_comes_back_though_the_body_is_thought_to_be_elsewhere(turned: bool) -> None:
     """It was left out while it was dark, and one camera alone let the body slide away."""
-    state, judged = _off(turned, (0.2, -0.2, 0.0))
+    state, judged = _thought_away(turned, (0.2, -0.2, 0.0))
     out, _ = _taken_back(ContradictionRule(twice=1), Suspicion({}, moved=(1,)), _memory(state).known, judged)
     assert out == ({1} if turned else set())
 
@@ -145,7 +145,7 @@ def test_a_camera_that_stands_again_comes_back_though_the_body_is_thought_to_be_
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_camera_comes_back_where_all_fit_together(turned: bool) -> None:
     """The body that two cameras see may be too far off for the third one to agree with it."""
-    state, judged = _off(turned, (0.04, -0.04, 0.0))
+    state, judged = _thought_away(turned, (0.04, -0.04, 0.0))
     known, rule = _memory(state).known, ContradictionRule(twice=1)
     assert known.ratios(_there(known, 1, judged), rule.clear)[1] < rule.right
     out, _ = _taken_back(rule, Suspicion({}), known, judged)

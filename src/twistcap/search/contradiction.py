@@ -164,10 +164,10 @@ def _agrees(rule: ContradictionRule, memory: Suspicion, known: Recollection, cam
 
 
 def _together(rule: ContradictionRule, known: Recollection, camera: int, others: Judged) -> bool:
-    """Whether no camera is suspect in a fit with one that is left out. Few others hardly say where all of a body is."""
+    """Whether all cameras agree in a fit with one that is left out. Few others hardly say where all of a body is."""
     again = fitted(known, others.problem.excluding(others.problem.left_out - {camera}))
     each = known.ratios(again.check, rule.clear)
-    return bool(each[camera] >= rule.right and np.nanmin(each) >= rule.right)
+    return bool(each[camera] >= rule.right and np.nanmin(each) >= rule.right)  # NaN is no agreement
 
 
 def _still(rule: ContradictionRule, known: Recollection, camera: int, others: Judged) -> bool:
