@@ -10,6 +10,7 @@ import pytest
 
 from support.cameras import ring
 from support.commands import document, refusal, run
+from twistcap import se3
 from twistcap.arrays import Float, even_clock, runs
 from twistcap.body import Body, Pose
 from twistcap.body.humanoid import humanoid
@@ -92,6 +93,32 @@ def test_cycles_are_the_walks_own(body: Body, poses: list[Pose]) -> None:
     assert curves.shape == (len(gait.of("r")), len(PERCENT), len(table.names))
     assert np.abs(curves.mean(axis=0) - wanted)[:, turning].max() < 1.0
     assert np.ptp(wanted[:, table.names.index("knee_angle_r")]) > 50
+
+
+@pytest.mark.parametrize("heading", [0.8, 3.0])
+def test_a_pelvis_that_is_turned_makes_no_step_wider(body: Body, heading: float) -> None:
+    """4° of 0.7 m are 5 cm: too wide on one side, too narrow on the other. The turn is the pelvis's own."""
+    straight = walk(body, fps=FPS, frames=400, speed=SPEED, heading=heading, phase=PHASE)
+    turn = se3.exp_rotation(np.array([0.0, 0.0, np.deg2rad(4.0)]))
+    turned = [Pose(se3.transform(turn @ p.root[:3, :3], p.root[:3, 3]), p.q) for p in straight]
+    gait, wanted = gait_of(body, TIMES, turned), parameters(gait_of(body, TIMES, straight))
+    found = parameters(gait)
+    for side in ("r", "l"):
+        for name in ("step width", "step length", "stride length"):
+            assert found[side][name].mean == pytest.approx(wanted[side][name].mean, abs=0.02)
+    table = coordinates_of(body, facing(gait, turned))
+    assert table.in_degrees[0][:, table.names.index("pelvis_rotation")].mean() == pytest.approx(4.0, abs=0.7)
+
+
+def test_a_step_width_is_known_as_well_as_heels_are_across(body: Body, poses: list[Pose]) -> None:
+    """Half of both heels of a side, and the other one: √1.5 of one heel's, whichever way the walk goes."""
+    place = np.zeros((body.dof, body.dof))
+    place[3:6, 3:6] = np.diag([0.02**2, 0.01**2, 0.0])
+    gait = gait_of(body, TIMES, poses, np.tile(place, (400, 1, 1)))
+    across = np.array([-np.sin(0.8), np.cos(0.8)])
+    sigma = np.sqrt(1.5 * np.sum((across * [0.02, 0.01]) ** 2))
+    known = [stride.step_width_sigma for stride in gait.strides if np.isfinite(stride.opposite_strike)]
+    assert known == pytest.approx([sigma] * len(known), rel=0.01)
 
 
 def test_strides_with_lost_frames_are_left_out(body: Body, poses: list[Pose]) -> None:

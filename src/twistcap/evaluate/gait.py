@@ -4,6 +4,7 @@ Events begin with Zeni et al. 2008 (DOI 10.1016/j.gaitpost.2007.07.007): near he
 of the pelvis, near toe-off the toes are farthest behind it. From there the event is moved to where the foot has half
 the speed, against the pelvis, that it has on the floor: 9 ms or less from force plates where Zeni's own is 27 (one
 walk). "In front" is along the pelvis's own heading, slowly followed, so that a walk may turn and a treadmill will do.
+On the floor it is turned by a constant to where the walk goes on average: a tracked pelvis may be turned a little.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ _HEADING_HZ = 0.4  # well below that of strides, in which the pelvis turns to an
 _SWING = 0.3  # least prominence of a peak, of the whole swing of the foot
 _SLOWING_S = 0.3  # longest time between Zeni's event and ours
 _STRIDE_S = (0.4, 4.0)  # shortest and longest stride
+_WALKING = 0.2  # m/s on average, from which on the way says where a walk goes
+_ADVANCING = 0.2  # m from strike to strike, from which on that line is the stride's direction
 
 
 @dataclass(frozen=True)
@@ -39,10 +42,11 @@ class Stride:
     toe_off: float  # of this foot
     opposite_strike: float  # of the other foot, NaN where there is none
     opposite_toe_off: float
-    length: float  # m, along the walk; on a treadmill it is near 0
+    length: float  # m, from heel to heel; on a treadmill it is near 0
     length_sigma: float
     step_length: float  # m, from the other foot's heel to this one's at the end; NaN without its strike
-    step_width: float  # m, across the walk
+    step_width: float  # m, of the other foot's heel from the line between this one's
+    step_width_sigma: float
 
 
 @dataclass(frozen=True)
@@ -84,14 +88,14 @@ def gait_of(
         raise InputError(f"gait: body {body.name!r} has no landmark {missing[0]!r}; gait needs heels and toes.")
     rate = frame_rate(times)
     known = np.ones(len(times), np.bool_) if known is None else known
-    forward = _heading(poses, rate, known)
     feet = {name: butterworth(places(body, poses, name), rate, _EVENT_HZ, known) for name in wanted}
     middle = butterworth(places(body, poses, "mid_hip"), rate, _EVENT_HZ, known)
+    forward = _heading(poses, middle, rate, known)
     ahead = {name: np.sum((place - middle) * forward, axis=1) for name, place in feet.items()}
     strikes = {side: _events(times, ahead[f"heel_{side}"], 1) for side in SIDES}
     toe_offs = {side: _events(times, ahead[f"toe_{side}"], -1) for side in SIDES}
     heels = {side: feet[f"heel_{side}"] for side in SIDES}
-    walk = _Walk(times, known, forward, heels, _length_sigma(body, poses, covariances, forward))
+    walk = _Walk(times, known, forward, heels, _heel_variance(body, poses, covariances))
     strides = [s for side in SIDES for s in _strides(walk, side, strikes, toe_offs)]
     return Gait(strikes, toe_offs, tuple(sorted(strides, key=lambda s: s.start)), 1.0 / rate, _level_angle(forward))
 
@@ -149,13 +153,19 @@ class _Walk:
     known: Bool
     forward: Float  # (N, 3)
     heels: Mapping[str, Float]
-    length_sigma: Callable[[str, int, int], float]
+    variance: Callable[[str, int, Float], float]  # m², of a side's heel in a frame along a direction (3,)
 
     def frame(self, time: float) -> int:
         return int(np.argmin(np.abs(self.times - time)))
 
     def heel(self, side: str, time: float) -> Float:
         return np.array([np.interp(time, self.times, column) for column in self.heels[side].T])
+
+    def direction(self, way: Float, frame: int) -> Float:
+        """(3,) level direction of a stride whose heel has gone a way (3,): along it, if it has advanced."""
+        level = way * [1.0, 1.0, 0.0]
+        length, ahead = float(np.linalg.norm(level)), self.forward[frame]
+        return level / length * np.sign(level @ ahead) if length >= _ADVANCING else ahead
 
 
 def _level_angle(forward: Float) -> Float:
@@ -184,10 +194,17 @@ def places(body: Body, poses: Sequence[Pose], name: str) -> Float:
     return np.array([Posed(body, pose).landmarks[k] for pose in poses])
 
 
-def _heading(poses: Sequence[Pose], rate: float, known: Bool) -> Float:
-    """(N, 3) level unit vectors along the pelvis's x, slowly followed."""
+def _heading(poses: Sequence[Pose], middle: Float, rate: float, known: Bool) -> Float:
+    """(N, 3) level unit vectors along the pelvis's x, slowly followed, turned by a constant to the way of the `middle`
+    (N, 3) of the hips, if there is one.
+    """
     x = butterworth(np.array([pose.root[:3, 0] for pose in poses]) * [1.0, 1.0, 0.0], rate, _HEADING_HZ, known)
-    return x / np.linalg.norm(x, axis=1, keepdims=True)
+    facing = np.exp(1j * np.arctan2(x[:, 1], x[:, 0]))
+    speed = rate * np.gradient(middle[:, 0] + 1j * middle[:, 1])
+    along = complex(np.nanmean(np.append(speed * facing.conj(), 0.0)))
+    if abs(along) >= _WALKING:
+        facing *= along / abs(along) * np.copysign(1.0, along.real)  # who walks backward faces the other way
+    return np.stack([np.real(facing), np.imag(facing), np.zeros(len(facing))], axis=1)
 
 
 def _events(times: Float, ahead: Float, direction: int) -> Float:
@@ -228,13 +245,9 @@ def _strides(walk: _Walk, side: str, strikes: Mapping[str, Float], toe_offs: Map
             continue
         opposite, freed = _between(strikes[other], start, end), _between(toe_offs[other], start, end)
         strike = float(opposite[0]) if len(opposite) == 1 else np.nan
-        begun, ended, ahead = walk.heel(side, start), walk.heel(side, end), walk.forward[last]
-        gap = ended - walk.heel(other, strike) if np.isfinite(strike) else np.full(3, np.nan)
-        across = np.array([-ahead[1], ahead[0], 0.0])
         lifted = float(freed[0]) if len(freed) == 1 else np.nan
         out.append(Stride(
-            side, float(start), float(end), float(own[0]), strike, lifted, float((ended - begun) @ ahead),
-            walk.length_sigma(side, first, last), float(gap @ ahead), float(abs(gap @ across)),
+            side, float(start), float(end), float(own[0]), strike, lifted, *_lengths(walk, side, start, end, strike)
         ))  # fmt: skip
     return out
 
@@ -243,20 +256,35 @@ def _between(times: Float, start: float, end: float) -> Float:
     return times[(times > start) & (times < end)]
 
 
-def _length_sigma(
-    body: Body, poses: Sequence[Pose], covariances: Float | None, forward: Float
-) -> Callable[[str, int, int], float]:
-    """Standard deviation (m) of the way of a heel between two frames, whose errors are taken as independent."""
-    if covariances is None:
-        return lambda side, first, last: 0.0
+def _lengths(
+    walk: _Walk, side: str, start: float, end: float, strike: float
+) -> tuple[float, float, float, float, float]:
+    """Length of a stride and its σ, length of its step, its width and the σ of that; m."""
+    other, first, last = "l" if side == "r" else "r", walk.frame(start), walk.frame(end)
+    begun, ended = walk.heel(side, start), walk.heel(side, end)
+    ahead = walk.direction(ended - begun, last)
+    length, sigma = float((ended - begun) @ ahead), np.sqrt(sum(walk.variance(side, k, ahead) for k in (first, last)))
+    if np.isnan(strike):
+        return length, float(sigma), np.nan, np.nan, np.nan
+    across, there = np.array([-ahead[1], ahead[0], 0.0]), walk.heel(other, strike)
+    own = sum(walk.variance(side, k, across) for k in (first, last))
+    wide = np.sqrt(walk.variance(other, walk.frame(strike), across) + 0.25 * own)
+    width = abs(float((there - 0.5 * (begun + ended)) @ across))
+    return length, float(sigma), float((ended - there) @ ahead), width, float(wide)
 
-    def variance(side: str, frame: int) -> float:
+
+def _heel_variance(body: Body, poses: Sequence[Pose], covariances: Float | None) -> Callable[[str, int, Float], float]:
+    """Variance (m²) of a heel's place along a direction (3,); frames are taken as independent."""
+    if covariances is None:
+        return lambda side, frame, along: 0.0
+
+    def variance(side: str, frame: int, along: Float) -> float:
         marks, posed = body.landmarks, Posed(body, poses[frame])
         heel = [marks.index(f"heel_{side}")]
-        J = forward[frame] @ posed.point_jacobian(marks.segments[heel, None], np.ones((1, 1)), marks.points[heel])[0]
+        J = along @ posed.point_jacobian(marks.segments[heel, None], np.ones((1, 1)), marks.points[heel])[0]
         return float(J @ covariances[frame] @ J)
 
-    return lambda side, first, last: float(np.sqrt(variance(side, first) + variance(side, last)))
+    return variance
 
 
 _PARAMETERS: Mapping[str, Callable[[Stride], float]] = {
@@ -294,7 +322,8 @@ def _sigma(gait: Gait, stride: Stride, name: str) -> float:
     apart = np.sqrt(2.0) * instant
     length = stride.length_sigma
     return {
-        "stride time": apart, "step time": apart, "stride length": length, "step length": length, "step width": length,
+        "stride time": apart, "step time": apart, "stride length": length, "step length": length,
+        "step width": stride.step_width_sigma,
         "speed": float(np.hypot(length, stride.length / time * apart)) / time, "cadence": 120.0 * apart / time**2,
         "stance": 100 * apart / time, "double support": 100 * 2 * instant / time,
     }[name]  # fmt: skip
