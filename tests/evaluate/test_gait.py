@@ -259,7 +259,15 @@ def test_command(body: Body, poses: list[Pose], tmp_path: Path, capsys: pytest.C
     assert uneven == pytest.approx(found["symmetry_percent"], abs=1e-5) and len(uneven) == 9
     assert run("gait", tmp_path / "r.h5", "--out", tmp_path / "out", "--angles", "isb") == 0
     assert "isb_knee_flexion_r" in (tmp_path / "out" / "cycles.csv").read_text()
-    assert all(len(line) <= 80 for line in capsys.readouterr().out.splitlines() if "│" in line)
+    out = capsys.readouterr().out
+    assert "Fixed by the body's joints, not measured: isb knee" in out
+    for kind in ("butterworth", "smoother"):
+        found = document(
+            capsys, "gait", tmp_path / "r.h5", "--out", tmp_path / "out", "--angles", "isb", "--filter", kind
+        )
+        assert found["reliable"]["isb_knee_adduction_r"] == "fixed" and found["reliable"]["isb_knee_flexion_r"] == "yes"
+        assert found["cutoff_hz"]["isb_knee_flexion_r"] > 1.0 and not found["cutoff_hz"]["isb_knee_adduction_r"]
+    assert all(len(line) <= 80 for line in out.splitlines() if "│" in line)
     assert "angles is" in refusal(capsys, "gait", tmp_path / "r.h5", "--angles", "euler")
 
 

@@ -28,6 +28,8 @@ Kind = Literal["butterworth", "smoother"]
 KINDS: tuple[Kind, ...] = ("butterworth", "smoother")
 BOUNDS = (3.0, 12.0)
 """Hz, of a cutoff that is chosen: movement has no less, and joint angles hardly more (Winter 2009, ch. 3)."""
+FIXED = 1e-6
+"""Degrees or m of σ, below which a coordinate has none: the body's joints fix it."""
 _MOST = 0.45  # of the rate; half of it is the last that `butterworth` takes
 _SEGMENT = 1.0  # s of the pieces whose spectra are averaged: steps of a walk fall together, so that there are no gaps
 _LEAST = 12  # frames that have a spectrum
@@ -52,7 +54,7 @@ class Filter:
 @dataclass(frozen=True)
 class Filtered:
     """Coordinates, their filtered `values` and `sigmas` (N, C) in degrees and m, NaN where they are not known, and the
-    `cutoffs` (C,) in Hz (−3 dB), NaN where nothing was filtered."""
+    `cutoffs` (C,) in Hz (−3 dB), NaN where nothing was filtered, or the body's joints leave nothing to filter."""
 
     table: Coordinates
     values: Float
@@ -78,7 +80,7 @@ def filtered(motion: Motion, how: Filter, angles: Angles = "opensim") -> Filtere
     if how.kind == "smoother":
         smooth = coordinates_of(motion.body, smoothed(motion), None, angles).in_degrees[0]
         smooth[~motion.known] = np.nan
-        return Filtered(table, smooth, sigmas, _smoother_cutoffs(motion, table, angles))
+        return Filtered(table, smooth, sigmas, _of_free(_smoother_cutoffs(motion, table, angles), sigmas))
     rate = even_clock(motion.times)[0]
     cutoffs = np.full(values.shape[1], how.cutoff or 0.0)
     if how.cutoff is None:
@@ -87,7 +89,12 @@ def filtered(motion: Motion, how: Filter, angles: Angles = "opensim") -> Filtere
     out = np.column_stack(columns)
     if how.cutoff is None:
         cutoffs[~np.isfinite(out).any(axis=0)] = np.nan  # nothing was filtered, and no spectrum seen
-    return Filtered(table, out, sigmas, cutoffs)
+    return Filtered(table, out, sigmas, _of_free(cutoffs, sigmas))
+
+
+def _of_free(cutoffs: Float, sigmas: Float) -> Float:
+    """The cutoffs (C,), NaN where none of the `sigmas` (N, C) is more than that of a fixed coordinate."""
+    return np.where(np.any(sigmas >= FIXED, axis=0), cutoffs, np.nan)
 
 
 def noise_cutoff(values: Float, sigmas: Float, rate: float, known: Bool) -> float:

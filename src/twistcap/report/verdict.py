@@ -13,6 +13,7 @@ import numpy as np
 from twistcap.arrays import Float
 from twistcap.body.model import split_side
 from twistcap.estimate import UNSEEN
+from twistcap.evaluate.filters import FIXED
 from twistcap.evaluate.metrics import Row, row
 from twistcap.io.coordinates import coordinates_of
 from twistcap.io.result import Result
@@ -22,6 +23,7 @@ from twistcap.report.words import bump_in_words, in_spans, swaps
 RELIABLE, CARE = 2.0, 5.0
 """Degrees of σ."""
 GRADES: tuple[tuple[str, str, float, bool | None], ...] = (
+    ("fixed", "Fixed by the body's joints, not measured", FIXED, None),
     ("yes", f"Reliable, σ within {RELIABLE:g}°", RELIABLE, True),
     ("care", f"Use with care, σ of {RELIABLE:g}° to {CARE:g}°", CARE, None),
     ("no", f"Not reliable, σ above {CARE:g}°", np.inf, False),
@@ -109,7 +111,9 @@ def kept_by_most(sigmas: Float) -> Float:
 
 
 def grade_of(sigma: float) -> str:
-    """``yes``, ``care`` or ``no``: whether an angle of this σ (degrees) can be relied on; ``no`` where it is NaN."""
+    """``yes``, ``care`` or ``no``: whether an angle of this σ (degrees) can be relied on, ``no`` where it is NaN; or
+    ``fixed`` by the body's joints.
+    """
     return next((grade for grade, _, most, _ in GRADES if sigma <= most), GRADES[-1][0])
 
 
