@@ -11,6 +11,7 @@ import pytest
 from pygltflib import GLTF2
 
 from support.commands import document, refusal, run
+from support.videos import corrupted, write
 from twistcap.body import gltf
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.io import exports
@@ -63,6 +64,7 @@ def test_a_session_is_checked(walk: Path, capsys: pytest.CaptureFixture[str]) ->
         ("body.glb", "nope.glb", "[body] path: {}/nope.glb does not exist"),
         ("first_pose.npz", "x.json", "[first_pose] file: {}/x.json does not exist"),
         ("cam02.mp4", "none.mp4", "none.mp4 does not exist; check its path in [videos]"),
+        ("cam02.mp4", "../videos/cam01.mp4", "cam01.mp4 to 'cam01' and to 'cam02'; give each camera its own"),
         (FILE, 'detector = "rtmo.onnx"', "model {}/rtmo.onnx does not exist; check the path"),
         (FILE, 'detector = "nobodys"', "detector 'nobodys' is not installed"),
         (FILE, 'keypoints = { folders = { cam01 = "k" } }', "keypoint folders of cam01: {}/k does not exist"),
@@ -77,6 +79,24 @@ def test_what_a_track_would_refuse_is_refused(
     path.write_text(path.read_text().replace(old, new))
     sentence = refusal(capsys, "session", path)
     assert told.format(path.parent) in sentence and str(path.parent) in sentence
+
+
+def test_a_video_that_was_cut_off_is_refused(walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = Path(shutil.copytree(walk, tmp_path / "walk"))
+    whole = write(path / "videos" / "cam01.mp4", size=(96, 70))
+    corrupted(whole, path / "videos" / "cam02.mp4")
+    assert "cam02.mp4: frame 39 is corrupt" in refusal(capsys, "session", path / "session.toml")
+
+
+def test_a_frame_rate_that_replaces_the_videos_is_said(
+    walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = Path(shutil.copytree(walk, tmp_path / "walk")) / "session.toml"
+    assert run("session", path) == 0 and "is believed" not in capsys.readouterr().err
+    path.write_text(path.read_text().replace("fps = 60.0", "fps = 25.0"))
+    assert run("session", path) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "fps = 25 of the session is believed, not the 60 of video" in said
 
 
 def test_a_glb_is_parsed_once(walk: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,6 +25,7 @@ from twistcap.evaluate.metrics import row
 from twistcap.report import plots
 from twistcap.report.overlay import (
     LOST,
+    _label,
     bones_of,
     draw_overlay,
     mosaic_for,
@@ -106,6 +107,14 @@ def test_mosaics_use_the_page_well() -> None:
     assert (wide.columns, wide.rows) == (2, 2)
     assert (tall.columns, tall.rows) == (4, 1)
     assert all(length % 2 == 0 for length in (*wide.size, *tall.size))
+
+
+def test_a_title_keeps_letters_with_accents() -> None:
+    canvases = np.full((2, 60, 400, 3), 90, np.uint8)
+    for canvas, text in zip(canvases, ("Sessiön à 90°", "Session a 90 deg"), strict=True):
+        _label(canvas, text, (10, 40))
+    assert np.ptp(canvases) > 100
+    np.testing.assert_array_equal(canvases[0], canvases[1])
 
 
 def test_overlay_video_plays_in_browsers(tmp_path: Path) -> None:

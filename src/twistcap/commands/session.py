@@ -33,12 +33,12 @@ def session(
         return
     if session is None:
         raise InputError("session: no file is named; give a session.toml, or --explain.")
-    from twistcap.io.recording import body_in_words
+    from twistcap.io.recording import body_in_words, rate_in_words
     from twistcap.io.session import load_session
     from twistcap.io.session_check import check_session
 
     loaded = load_session(session)
-    check_session(loaded)
+    views = check_session(loaded)
     changed = {name: value for name, value in vars(loaded.tracker_settings).items() if name in loaded.tracker}
     body = body_in_words(loaded)
     document = {"id": "session", "session": session, "cameras": sorted(loaded.videos), "tracker": changed, "body": body}
@@ -46,8 +46,8 @@ def session(
         terminal.emit(document)
         return
     terminal.say(f"{session} is a session with {len(loaded.videos)} videos: {', '.join(sorted(loaded.videos))}")
-    if body:
-        terminal.say(body)
+    for said in filter(None, (rate_in_words(loaded, views), body)):
+        terminal.say(said)
     terminal.say(f"settings of the tracker that it changes: {', '.join(changed) or 'none'}")
 
 

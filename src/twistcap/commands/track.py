@@ -124,7 +124,7 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
     from twistcap.commands.follow import held
     from twistcap.commands.start import show_start
     from twistcap.io.provenance import made_of
-    from twistcap.io.recording import body_in_words, open_recording
+    from twistcap.io.recording import body_in_words, open_recording, rate_in_words
     from twistcap.io.result import ResultWriter
 
     done = held(path, begin.overwrite)
@@ -139,7 +139,7 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
     for source in views.sources:
         if source.note:
             terminal.say(f"{source.note}.")
-    for said in filter(None, (body_in_words(session), recording.note)):
+    for said in filter(None, (rate_in_words(session, views), body_in_words(session), recording.note)):
         terminal.say(said)
     show_start(recording.report)
     tracker = session_tracker(session, recording.body, views, watch=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -43,6 +43,8 @@ from twistcap.io.session import CameraGrid, DetectorTable, GlbBody, HumanoidBody
 from twistcap.io.start_report import StartReport, check_body_upright, start_report
 from twistcap.io.unaided import found_unaided, start_in_words
 from twistcap.io.video import Views, check_names, open_source, open_views
+
+_RATES_ALIKE = 0.01  # of a frame rate, by which a video's header may differ
 
 
 @dataclass(frozen=True)
@@ -160,6 +162,7 @@ def views_of(session: Session, rig: Rig) -> Views:
     with naming(session.source):
         clocks, paths = _clocks(session), _videos(session, rig)
         check_names(paths, rig)
+        _check_apart(paths)
     return open_views(
         paths, rig, first, last, session.step, session.scale, session.fps, session.time_offset, clocks
     )  # fmt: skip
@@ -175,6 +178,13 @@ def timeline_of(session: Session, rig: Rig) -> Timeline:
 
 def _videos(session: Session, rig: Rig) -> dict[str, str]:
     return {name: path for name, path in session.videos.items() if session.cameras.use is None or name in rig.names}
+
+
+def _check_apart(paths: Mapping[str, str]) -> None:
+    taken = dict[Path, str]()
+    for name, path in paths.items():
+        if (first := taken.setdefault(Path(path).resolve(), name)) != name:
+            raise InputError(f"[videos] gives {path} to {first!r} and to {name!r}; give each camera its own.")
 
 
 def _clocks(session: Session) -> dict[str, Clock]:
@@ -199,6 +209,15 @@ def body_of(session: Session) -> Body:
         loaded = load_makehuman(body.path, body.rig, body.weights, targets, body.spec)
     check_body_upright(loaded, f"body {body.path}")
     return rescaled(loaded, body.lengths, body.girths, body.stature)
+
+
+def rate_in_words(session: Session, views: Views) -> str:
+    """Which video's own frame rate the session's `fps` replaces by another; "" for none."""
+    for source in views.sources:
+        if session.fps and source.fps and abs(session.fps / source.fps - 1.0) > _RATES_ALIKE:
+            its = f"not the {source.fps:.4g} of video {source.name}"
+            return f"fps = {session.fps:g} of the session is believed, {its}: all times and speeds go by it."
+    return ""
 
 
 def body_in_words(session: Session) -> str:

@@ -17,14 +17,18 @@ from twistcap.io.session import Session
 from twistcap.io.video import Views
 
 
-def check_session(session: Session) -> None:
-    """Read what a track of the session would read before its first fit. Raises InputError for whatever is missing."""
+def check_session(session: Session) -> Views:
+    """Read what a track of the session would read before its first fit; its frames. Raises InputError for whatever is
+    missing.
+    """
     with naming(session.source):
         for key, path in _named(session):
             if path is not None and not Path(path).exists():
                 raise InputError(f"{key}: {path} does not exist; check its path.")
         rig = rig_of(session)
         views, body, start = views_of(session, rig), body_of(session), session.first_pose
+        for index in (views.indices[0], views.indices[-1]):
+            views.recorded(index)  # a file that was cut off has lost its end
         _ = session.pose_prior, session.motion_library, session.output.gait_norms
         check_installed(session.output.exports)
         if start.file is not None:
@@ -35,6 +39,7 @@ def check_session(session: Session) -> None:
         if (girths := session.fit_girths) is not None:
             for frame in girths.frames:
                 read_masks(girths.masks, rig, frame)
+    return views
 
 
 def _check_keypoints(session: Session, rig: Rig, views: Views) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import unicodedata
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -274,12 +275,18 @@ def _label(canvas: AnyArray, text: str, at: tuple[int, int], colour: Colour = _P
     """Text on a darkened strip; `at` is the lower left (or lower right) corner of its letters."""
     if not text:
         return
-    text = text.replace("°", " deg").encode("ascii", "replace").decode()  # OpenCV's own letters know no more
+    text = _in_ascii(text.replace("°", " deg"))
     (width, height), base = cv2.getTextSize(text, cv2.FONT_HERSHEY_DUPLEX, 0.6, 1)
     x, y = at[0] - width * right, at[1]
     strip = canvas[max(0, y - height - 6) : y + base + 3, max(0, x - 6) : x + width + 6]
     np.minimum(strip, _INK, out=strip, casting="unsafe")
     cv2.putText(canvas, text, (x, y), cv2.FONT_HERSHEY_DUPLEX, 0.6, colour, 1, cv2.LINE_AA)
+
+
+def _in_ascii(text: str) -> str:
+    """Letters without their accents, and ? for others: OpenCV's own letters know no more."""
+    plain = (c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
+    return "".join(plain).encode("ascii", "replace").decode()
 
 
 def overlay_video(
