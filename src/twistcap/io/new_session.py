@@ -19,7 +19,7 @@ from twistcap.io.sources import IMAGE_ENDINGS, matching
 from twistcap.io.video import Source, check_size, is_there, open_source
 
 VIDEO_ENDINGS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts"}
-_ENDS = 3  # frames at both ends of a video that are decoded before all is said to be well
+ENDS = 3  # frames at both ends of a video that are decoded before all is said to be well
 _FILE_LINES = (
     "\n[first_pose]",
     "# One camera does not show depth, so the pose must be given, here or as first_pose.json beside this file:",
@@ -106,7 +106,7 @@ def drafted(rig: Rig, paths: Mapping[str, str], calibration: Path, unit: Unit | 
 
 def _check_ends(source: Source) -> None:
     """Raises InputError where a few frames at either end cannot be decoded."""
-    numbers = sorted({k for k in (*range(_ENDS), *range(len(source) - _ENDS, len(source))) if 0 <= k < len(source)})
+    numbers = sorted({k for k in (*range(ENDS), *range(len(source) - ENDS, len(source))) if 0 <= k < len(source)})
     for _ in source.read(numbers):
         pass
 

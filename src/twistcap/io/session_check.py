@@ -11,6 +11,7 @@ from twistcap.io.detectors import check_detector
 from twistcap.io.exports import check_installed
 from twistcap.io.keypoints import read_clicks
 from twistcap.io.masks import read_masks
+from twistcap.io.new_session import ENDS
 from twistcap.io.pose_file import body_at, read_pose
 from twistcap.io.recording import body_of, keypoints_of, rig_of, rig_of_lengths, views_of
 from twistcap.io.session import Session
@@ -27,7 +28,7 @@ def check_session(session: Session) -> Views:
                 raise InputError(f"{key}: {path} does not exist; check its path.")
         rig = rig_of(session)
         views, body, start = views_of(session, rig), body_of(session), session.first_pose
-        for index in (views.indices[0], views.indices[-1]):
+        for index in views.indices[-ENDS:]:
             views.recorded(index)  # a file that was cut off has lost its end
         _ = session.pose_prior, session.motion_library, session.output.gait_norms
         check_installed(session.output.exports)
