@@ -27,8 +27,9 @@ RIGS = {  # names as the programs write them, in the order of SEGMENTS; * is the
 }  # fmt: skip
 
 
-def mesh_of(rig: str, turn: float = 0.0) -> SkinnedMesh:
-    """The humanoid's surface and joints under a rig's names, turned about the vertical."""
+def mesh_of(rig: str, turn: float = 0.0, axis: int = 1, scale: float = 1.0) -> SkinnedMesh:
+    """The humanoid's surface and joints under a rig's names, turned about an axis of the file, by default its
+    vertical."""
     body, (names, right, left) = humanoid(), RIGS[rig]
     words = {"_r": right, "_l": left}
 
@@ -36,7 +37,7 @@ def mesh_of(rig: str, turn: float = 0.0) -> SkinnedMesh:
         side = segment[-2:] if segment[-2:] in words else ""
         return names.split()[SEGMENTS.index(segment.removesuffix(side))].replace("*", words.get(side, ""))
 
-    C = se3.exp_rotation(np.array([0.0, turn, 0.0])) @ TO_FILE
+    C = scale * se3.exp_rotation(turn * np.eye(3)[axis]) @ TO_FILE
     weights = np.zeros((len(body.vertices), len(body.segment_names)))
     np.add.at(weights, (np.arange(len(weights))[:, None], body.skin_segments), body.skin_weights)
     joints = tuple(map(named, body.segment_names))
@@ -69,5 +70,19 @@ def test_a_rig_with_gaps_is_told_and_an_unknown_one_is_left_alone() -> None:
     assert "only 0 of its 18 bones are found by name" in best_fit(strange).in_words
     assert "write a rig file (docs/formats/body-files.md)" in best_fit(strange).in_words
     assert best_fit(mesh).in_words == "it is taken for the rig of Mixamo: 15 of its 18 bones are found by name"
-    with pytest.raises(InputError, match="175 m high"):
-        preset_spec(replace(mesh, vertices=100 * mesh.vertices))
+
+
+@pytest.mark.parametrize("file", [False, True])
+@pytest.mark.parametrize(
+    ("mesh", "said"),
+    [
+        (mesh_of("Unreal", np.pi / 2, axis=0), r'head is not above the feet.* \+Y up, or say up = "z" in a rig file'),
+        (mesh_of("Unreal", scale=100.0), "175 m high; export it in metres, or say scale .* scale = 0.01 for cm"),
+    ],
+)
+def test_another_axis_up_and_another_unit_are_told(mesh: SkinnedMesh, said: str, file: bool) -> None:
+    """Without a rig file, and with one, whose landmarks have places of their own."""
+    spec = preset_spec(mesh_of("Unreal") if file else mesh)
+    assert spec is not None
+    with pytest.raises(InputError, match=said):
+        build_body(mesh, spec, 8)

@@ -89,7 +89,8 @@ def _loaded(path: Path, rig: Path | str | RigSpec | None) -> Rigged:
                 return Rigged(scene, mesh, RigSpec(), _own_body(mesh, own, path), "")
             spec = given or preset_spec(mesh) or RigSpec()
             about = best_fit(mesh).in_words if given is None else f"its joints are those of the rig file {rig}"
-            return Rigged(scene, mesh, spec, build_body(mesh, spec, _INFLUENCES), about)
+            with naming(path if rig is given else f"rig file {rig}"):
+                return Rigged(scene, mesh, spec, build_body(mesh, spec, _INFLUENCES), about)
     except InputError:
         raise
     except (LookupError, TypeError, AttributeError, ValueError, OverflowError) as error:
@@ -208,7 +209,7 @@ def _read_mesh(scene: Scene, as_is: bool) -> SkinnedMesh:
             found.setdefault(joint, frame)
     frames = np.array([found[joint] for joint in scene.joints])
     parents = np.array([scene.joint_above(node) for node in scene.joints], dtype=np.int32)
-    return SkinnedMesh(scene.path.stem, scene.path.name, scene.names(), parents, frames, vertices, faces, weights)
+    return SkinnedMesh(scene.path.stem, str(scene.path), scene.names(), parents, frames, vertices, faces, weights)
 
 
 def _parts(scene: Scene, binds: list[tuple[Float, Float]]) -> list[tuple[Float, Int, Float]]:

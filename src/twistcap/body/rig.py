@@ -13,10 +13,13 @@ from twistcap.arrays import Float, Int
 from twistcap.body.binding import strongest
 from twistcap.body.kinematics import skin_points
 from twistcap.body.model import Body, Landmarks
-from twistcap.body.rig_spec import JointSpec, LandmarkSpec, RigSpec
+from twistcap.body.rig_spec import RIG_PAGE, JointSpec, LandmarkSpec, RigSpec
 from twistcap.errors import InputError, check
 
 _MOST_WEIGHTS = 25_000_000  # numbers of a dense binding
+_HEIGHTS = (0.4, 3.5)  # m, of a person; what is beyond is in another unit
+TALLER = ("head_top", "nose", "neck"), ("ankle_r", "ankle_l", "heel_r", "heel_l")
+"""Landmarks of head and feet."""
 KINDS: tuple[Literal["revolute", "universal", "ball"], ...] = ("revolute", "universal", "ball")
 """Of joints with one, two and three axes."""
 
@@ -50,7 +53,8 @@ def build_body(mesh: SkinnedMesh, spec: RigSpec, influences: int = 4) -> Body:
     """The body of a skinned mesh and its rig description; of more than `influences` segments of a vertex the weakest
     are dropped.
 
-    Raises InputError for joints that do not exist, wrong numbers of axes, names or limits, vertices without weights.
+    Raises InputError for joints that do not exist, wrong numbers of axes, names or limits, vertices without weights,
+    and for a person who is not upright or of no person's height.
     """
     mesh, marks = _at_rest(mesh, spec)
     tree = _Tree(mesh, spec)
@@ -92,8 +96,28 @@ def _at_rest(mesh: SkinnedMesh, spec: RigSpec) -> tuple[SkinnedMesh, Landmarks]:
     """The mesh and its landmarks in the rest pose and our axes."""
     _check_names(mesh, spec)
     mesh, marks = _in_rest_frame(mesh, _landmarks(mesh, spec), spec)
+    # The joints, since a landmark at a place of its own stays there in any mesh; and before `aim` sets the legs right.
+    check_standing(marks.names, mesh.frames[marks.segments, :3, 3], mesh.vertices, mesh.source)
     mesh, marks = _aimed(mesh, marks, spec)
     return _shifted(mesh, marks, spec.origin)
+
+
+def check_standing(names: Sequence[str], points: Float, vertices: Float, source: str) -> None:
+    """That a rest pose has its head above its feet and a person's height, where its landmarks tell of both.
+
+    `points` (L, 3) are of the landmarks, `vertices` (V, 3) of the surface: z up, m. Messages begin with `source`.
+    Raises InputError where it has not, mostly for a file with another axis up or another unit.
+    """
+    heights = dict(zip(names, points[:, 2].tolist(), strict=True))
+    high, low = ([heights[name] for name in each if name in heights] for each in TALLER)
+    if not high or not low:
+        return
+    size = np.ptp(vertices, axis=0)
+    mend = f'export it with +Y up, or say up = "z" in a rig file ({RIG_PAGE})'
+    said = f"in its rest pose the head is not above the feet, so its axes are wrong; {mend}"
+    check(source, max(high) - min(low) >= 0.5 * float(size.max()), said)
+    mend = f"export it in metres, or say scale in a rig file, as scale = 0.01 for cm ({RIG_PAGE})"
+    check(source, _HEIGHTS[0] < size[2] < _HEIGHTS[1], f"the body is {size[2]:.3g} m high; {mend}")
 
 
 def compact_binding(weights: Float, influences: int, source: str = "mesh") -> tuple[Int, Float]:

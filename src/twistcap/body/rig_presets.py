@@ -15,8 +15,8 @@ import numpy as np
 from twistcap.arrays import Float, Int
 from twistcap.body import proportions as P
 from twistcap.body.rig import KINDS, SkinnedMesh
-from twistcap.body.rig_spec import Aim, Axis, JointSpec, LandmarkSpec, RigSpec, Vector
-from twistcap.errors import InputError, check
+from twistcap.body.rig_spec import RIG_PAGE, Aim, Axis, JointSpec, LandmarkSpec, RigSpec, Vector
+from twistcap.errors import InputError
 
 _MIDDLE = ("pelvis", "spine", "neck", "head")
 _SIDED = ("arm", "forearm", "hand", "thigh", "shin", "foot", "toe")
@@ -29,9 +29,6 @@ _LIMBS = {
 }  # fmt: skip
 """The same, and the role that each points to."""
 _LIKELY = 0.6  # share of the bones from which a rig is taken for a known one with gaps
-RIG_PAGE = "docs/formats/body-files.md"
-"""About rig files, the mend where bones are not known."""
-_HEIGHTS = (0.4, 3.5)  # m; what is beyond is in another unit
 
 
 @dataclass(frozen=True)
@@ -111,7 +108,7 @@ def best_fit(mesh: SkinnedMesh) -> Fit:
 def preset_spec(mesh: SkinnedMesh) -> RigSpec | None:
     """The rig description of a mesh whose bones have the names of a preset; None where they look like none.
 
-    Raises InputError where a preset is likely but bones of it are missing, or the person is not of a person's height.
+    Raises InputError where a preset is likely but bones of it are missing.
     """
     fit = best_fit(mesh)
     if fit.missing and fit.share < _LIKELY:
@@ -138,8 +135,6 @@ def _spec(mesh: SkinnedMesh, joints: Mapping[str, int]) -> RigSpec:
     forward = _forward(mesh, joints)
     spec = RigSpec(up="y", forward=forward, keep=[], root=mesh.joints[joints["pelvis"]], origin="mid_hip")
     at = mesh.vertices @ spec.to_rest().T, mesh.frames[:, :3, 3] @ spec.to_rest().T
-    height = float(np.ptp(at[0][:, 2]))
-    check(str(mesh.source), _HEIGHTS[0] < height < _HEIGHTS[1], f"the body is {height:.3g} m high; export it in metres")
     named = {role: mesh.joints[b] for role, b in joints.items()}
     specs = {named["pelvis"]: JointSpec(segment="pelvis")}
     specs |= {named[role]: _joint(segment, "") for role, segment in _TRUNK.items()}

@@ -35,6 +35,8 @@ from twistcap.arrays import Float
 from twistcap.doors.strict import validated
 from twistcap.doors.text import read_toml
 
+RIG_PAGE = "docs/formats/body-files.md"
+"""About rig files, the mend where a mesh is not understood."""
 Vector = tuple[float, float, float]
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 

@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 
 from twistcap import se3
 from twistcap.arrays import Bool, Float
+from twistcap.body.rig import TALLER
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError, check
 
 _NEAREST, _FARTHEST = 0.05, 100.0  # plausible distances between two cameras, m
 _UNDERGROUND = 0.3  # m below the floor that no joint of a person and not every camera can be
-TALLER = ("head_top", "nose", "neck"), ("ankle_r", "ankle_l", "heel_r", "heel_l")  # landmarks of head and feet
 
 
 def check_plausible(

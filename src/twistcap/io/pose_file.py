@@ -13,7 +13,7 @@ import numpy as np
 from twistcap.adjust.first_pose import Proportions
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, rescaled
-from twistcap.body.rig_presets import RIG_PAGE
+from twistcap.body.rig_spec import RIG_PAGE
 from twistcap.doors.npz import read_npz
 from twistcap.doors.schema import Schema, real, word
 from twistcap.doors.text import finite_number, number_array, read_json_table

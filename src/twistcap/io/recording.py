@@ -19,6 +19,7 @@ from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose, Posed, rescaled
 from twistcap.body.humanoid import humanoid
 from twistcap.body.obj_rig import load_makehuman
+from twistcap.body.rig import check_standing
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError, naming
 from twistcap.estimate import Keypoints
@@ -40,7 +41,7 @@ from twistcap.io.people import check_arrangement, same_person
 from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
 from twistcap.io.session import CameraGrid, DetectorTable, GlbBody, HumanoidBody, KeypointSet, Session
-from twistcap.io.start_report import StartReport, check_body_upright, start_report
+from twistcap.io.start_report import StartReport, start_report
 from twistcap.io.unaided import found_unaided, start_in_words
 from twistcap.io.video import Views, check_names, open_source, open_views
 
@@ -207,7 +208,7 @@ def body_of(session: Session) -> Body:
     else:
         targets: dict[Path | str, float] = {Path(path): weight for path, weight in body.targets.items()}
         loaded = load_makehuman(body.path, body.rig, body.weights, targets, body.spec)
-    check_body_upright(loaded, f"body {body.path}")
+    check_standing(loaded.landmarks.names, loaded.landmarks.points, loaded.vertices, f"body {body.path}")
     return rescaled(loaded, body.lengths, body.girths, body.stature)
 
 

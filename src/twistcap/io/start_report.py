@@ -20,7 +20,6 @@ from twistcap.body.model import unsided
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
-from twistcap.io.plausible import TALLER
 from twistcap.io.session import GlbBody, HumanoidBody, Session
 
 _ODD, _IMPOSSIBLE = 1.15, 1.45  # ratio of the fitted stature to the stated one
@@ -71,15 +70,6 @@ def start_report(session: Session, rig: Rig, generic: Body, keypoints: Keypoints
 def rest_height(body: Body) -> float:
     """Height of the surface in the rest pose, m."""
     return float(np.ptp(body.vertices[:, 2]))
-
-
-def check_body_upright(body: Body, source: str) -> None:
-    """Head over feet in the rest pose. Raises InputError for a body file whose axes were taken for others."""
-    heights = dict(zip(body.landmarks.names, body.landmarks.points[:, 2], strict=True))
-    high, low = ([heights[name] for name in names if name in heights] for names in TALLER)
-    if high and low and max(high) - min(low) < 0.5 * float(np.ptp(body.vertices, axis=0).max()):
-        mend = "export it y up (glTF), or mend its axes in [body] rig"
-        raise InputError(f"{source}: in its rest pose the head is not above the feet, so its axes are wrong; {mend}.")
 
 
 def _size_warning(session: Session, size: float, stated: float) -> list[str]:

@@ -15,7 +15,7 @@ import numpy as np
 from twistcap.adjust.first_pose import FirstPose, Proportions, fit_keypoints
 from twistcap.arrays import UInt8
 from twistcap.body import Body, Pose, Posed, rescaled
-from twistcap.body.rig_presets import RIG_PAGE
+from twistcap.body.rig_spec import RIG_PAGE
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
