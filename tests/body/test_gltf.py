@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from pygltflib import GLTF2
 
+from support.rigs import rigged_glb
 from twistcap import se3
 from twistcap.body import Body, Pose, Posed
-from twistcap.body.gltf import load_glb, save_glb
+from twistcap.body.gltf import load_described, load_glb, save_glb
 from twistcap.body.humanoid import humanoid
 from twistcap.body.model import edges_of
 from twistcap.errors import InputError
@@ -262,6 +263,19 @@ def test_rig_toml_beside_the_file(tmp_path: Path) -> None:
     np.testing.assert_allclose(body.vertices[:, 2].max(), 5.0, atol=1e-5)
     end = Posed(body, Pose(np.eye(4), np.array([np.pi / 2]))).landmarks[0]
     np.testing.assert_allclose(end, [2.0, 0, 3.0], atol=1e-6)
+
+
+def test_a_rig_file_without_joints_keeps_the_known_rig(tmp_path: Path) -> None:
+    path = rigged_glb(tmp_path / "anna.glb", scale=[100.0] * 3)
+    said = r"anna\.glb: the body is 175 m high; .* scale = 0\.01 for cm"
+    with pytest.raises(InputError, match=said):
+        load_glb(path)
+    beside = tmp_path / "anna.rig.toml"
+    beside.write_text("scale = 0.01")
+    body, about = load_described(path)
+    assert body.coordinate_names == humanoid().coordinate_names and "taken for the rig of Mixamo" in about
+    beside.write_text("scale = 0.01\n[joints]")
+    assert "mixamorig:LeftArm_x" in load_glb(path).coordinate_names
 
 
 def test_fixed_joint_goes_into_its_parent(tmp_path: Path) -> None:

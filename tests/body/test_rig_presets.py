@@ -7,42 +7,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from support.rigs import RIGS, bone_names
 from twistcap import se3
 from twistcap.body.humanoid import humanoid
 from twistcap.body.rig import SkinnedMesh, build_body
 from twistcap.body.rig_presets import best_fit, preset_spec
+from twistcap.body.rig_spec import RigSpec
 from twistcap.errors import InputError
 
 TO_FILE = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])  # ours to glTF: y up, facing z
-SEGMENTS = ("pelvis", "torso", "head", "humerus", "ulna", "radius", "femur", "tibia", "foot")
-RIGS = {  # names as the programs write them, in the order of SEGMENTS; * is the side
-    "Mixamo": ("mixamorig:Hips mixamorig:Spine mixamorig:Neck mixamorig:*Arm mixamorig:*ForeArm mixamorig:*Hand "
-               "mixamorig:*UpLeg mixamorig:*Leg mixamorig:*Foot", "Right", "Left"),
-    "Rigify": ("spine spine.001 spine.004 upper_arm.* forearm.* hand.* thigh.* shin.* foot.*", "R", "L"),
-    "VRM": ("J_Bip_C_Hips J_Bip_C_Spine J_Bip_C_Neck J_Bip_*_UpperArm J_Bip_*_LowerArm J_Bip_*_Hand "
-            "J_Bip_*_UpperLeg J_Bip_*_LowerLeg J_Bip_*_Foot", "R", "L"),
-    "CMU": ("Hips LowerBack Neck *Arm *ForeArm *Hand *UpLeg *Leg *Foot", "Right", "Left"),
-    "Unreal": ("pelvis spine_01 neck_01 upperarm_* lowerarm_* hand_* thigh_* calf_* foot_*", "r", "l"),
-    "Unity": ("Hips Spine Neck *UpperArm *LowerArm *Hand *UpperLeg *LowerLeg *Foot", "Right", "Left"),
-}  # fmt: skip
 
 
 def mesh_of(rig: str, turn: float = 0.0, axis: int = 1, scale: float = 1.0) -> SkinnedMesh:
     """The humanoid's surface and joints under a rig's names, turned about an axis of the file, by default its
     vertical."""
-    body, (names, right, left) = humanoid(), RIGS[rig]
-    words = {"_r": right, "_l": left}
-
-    def named(segment: str) -> str:
-        side = segment[-2:] if segment[-2:] in words else ""
-        return names.split()[SEGMENTS.index(segment.removesuffix(side))].replace("*", words.get(side, ""))
-
+    body = humanoid()
     C = scale * se3.exp_rotation(turn * np.eye(3)[axis]) @ TO_FILE
     weights = np.zeros((len(body.vertices), len(body.segment_names)))
     np.add.at(weights, (np.arange(len(weights))[:, None], body.skin_segments), body.skin_weights)
-    joints = tuple(map(named, body.segment_names))
     frames = se3.transform(np.eye(3), body.joint_origins @ C.T)
-    return SkinnedMesh("x", "x.glb", joints, body.segment_parent, frames, body.vertices @ C.T, body.faces, weights)
+    return SkinnedMesh(
+        "x", "x.glb", bone_names(rig), body.segment_parent, frames, body.vertices @ C.T, body.faces, weights
+    )
 
 
 @pytest.mark.parametrize("turn", [0.0, np.pi, np.pi / 2])  # VRM 0 looks along −z
@@ -58,6 +44,23 @@ def test_a_known_rig_becomes_the_humanoid(rig: str, turn: float) -> None:
     for name in ("hip_r", "knee_l", "ankle_r", "shoulder_l", "mid_hip", "head_top"):
         mine, theirs = (b.landmarks.points[b.landmarks.index(name)] for b in (body, ours))
         np.testing.assert_allclose(mine, theirs, atol=0.03)  # its legs are turned straight down
+
+
+@pytest.mark.parametrize(
+    ("mesh", "said"),
+    [
+        (mesh_of("Unreal", np.pi / 2, axis=0), RigSpec(up="z")),
+        (mesh_of("Mixamo", scale=100.0), RigSpec(scale=0.01, landmarks={"fist_r": "mixamorig:RightHand"})),
+    ],
+)
+def test_a_rig_file_without_joints_goes_over_the_preset(mesh: SkinnedMesh, said: RigSpec) -> None:
+    spec, ours = preset_spec(mesh, said), humanoid()
+    assert spec is not None and not said.says_joints and RigSpec().says_joints and RigSpec(joints={}).says_joints
+    body = build_body(mesh, spec, 8)
+    assert body.coordinate_names == ours.coordinate_names
+    np.testing.assert_allclose(body.twists[:, :3], ours.twists[:, :3], atol=1e-6)
+    np.testing.assert_allclose(np.ptp(body.vertices[:, 2]), np.ptp(ours.vertices[:, 2]), atol=0.01)
+    assert ("fist_r" in body.landmarks.names) == (said.scale != 1.0)
 
 
 def test_a_rig_with_gaps_is_told_and_an_unknown_one_is_left_alone() -> None:

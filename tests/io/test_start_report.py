@@ -14,7 +14,7 @@ import pytest
 from support.cameras import ring
 from twistcap import se3
 from twistcap.adjust.first_pose import fit_keypoints, pose_at
-from twistcap.body import Body, Pose, Posed
+from twistcap.body import Pose, Posed
 from twistcap.body.gltf import save_glb
 from twistcap.body.humanoid import humanoid
 from twistcap.camera import Rig

@@ -38,8 +38,9 @@ _INFLUENCES = 8  # segments of one vertex, at most
 def load_glb(path: Path | str, rig: Path | str | RigSpec | None = None) -> Body:
     """The skinned mesh of a GLB or glTF as a body; a file of `save_glb` gives the same body.
 
-    `rig` is the meaning of the joints (`rig_spec`), by default <name>.rig.toml beside the file if there is one, else
-    that of a rig whose bone names are known (`rig_presets`); of any other, every joint is a ball joint without limits.
+    `rig` is the meaning of the joints (`rig_spec`), by default <name>.rig.toml beside the file if there is one. Where
+    that says no joints, they are those of a rig whose bone names are known (`rig_presets`); of any other, every joint
+    is a ball joint without limits.
     Raises InputError if the file cannot be read or has no skin, for
     primitives that are not triangles, buffers that are missing, compressed or too short, and for what `build_body`
     refuses.
@@ -87,8 +88,10 @@ def _loaded(path: Path, rig: Path | str | RigSpec | None) -> Rigged:
             mesh = _read_mesh(scene, own is not None)
             if own is not None and rig is None:
                 return Rigged(scene, mesh, RigSpec(), _own_body(mesh, own, path), "")
-            spec = given or preset_spec(mesh) or RigSpec()
-            about = best_fit(mesh).in_words if given is None else f"its joints are those of the rig file {rig}"
+            if given is not None and given.says_joints:
+                spec, about = given, f"its joints are those of the rig file {rig}"
+            else:
+                spec, about = preset_spec(mesh, given) or given or RigSpec(), best_fit(mesh).in_words
             with naming(path if rig is given else f"rig file {rig}"):
                 return Rigged(scene, mesh, spec, build_body(mesh, spec, _INFLUENCES), about)
     except InputError:

@@ -15,7 +15,7 @@ import numpy as np
 from twistcap.arrays import Float, Int
 from twistcap.body import proportions as P
 from twistcap.body.rig import KINDS, SkinnedMesh
-from twistcap.body.rig_spec import RIG_PAGE, Aim, Axis, JointSpec, LandmarkSpec, RigSpec, Vector
+from twistcap.body.rig_spec import AXES, RIG_PAGE, Aim, Axis, JointSpec, LandmarkSpec, RigSpec, Vector, unit_vector
 from twistcap.errors import InputError
 
 _MIDDLE = ("pelvis", "spine", "neck", "head")
@@ -105,9 +105,10 @@ def best_fit(mesh: SkinnedMesh) -> Fit:
     return max((Fit(preset, _joints_of(mesh, preset)) for preset in PRESETS), key=lambda fit: fit.share)
 
 
-def preset_spec(mesh: SkinnedMesh) -> RigSpec | None:
+def preset_spec(mesh: SkinnedMesh, said: RigSpec | None = None) -> RigSpec | None:
     """The rig description of a mesh whose bones have the names of a preset; None where they look like none.
 
+    What is `said` of a rig file without [joints] goes over the preset's.
     Raises InputError where a preset is likely but bones of it are missing.
     """
     fit = best_fit(mesh)
@@ -119,7 +120,7 @@ def preset_spec(mesh: SkinnedMesh) -> RigSpec | None:
             f"{mesh.source}: its bones look like a {fit.preset.name} rig, but {some} cannot be found; write a rig file "
             f"beside it ({RIG_PAGE})."
         )
-    return _spec(mesh, fit.joints)
+    return _spec(mesh, fit.joints, said or RigSpec())
 
 
 def _joints_of(mesh: SkinnedMesh, preset: Preset) -> dict[str, int]:
@@ -131,25 +132,24 @@ def _joints_of(mesh: SkinnedMesh, preset: Preset) -> dict[str, int]:
     return {role: max(bones, key=lambda b: skin[b]) for role, bones in roles.items()}
 
 
-def _spec(mesh: SkinnedMesh, joints: Mapping[str, int]) -> RigSpec:
-    forward = _forward(mesh, joints)
-    spec = RigSpec(up="y", forward=forward, keep=[], root=mesh.joints[joints["pelvis"]], origin="mid_hip")
+def _spec(mesh: SkinnedMesh, joints: Mapping[str, int], said: RigSpec) -> RigSpec:
+    own = {"forward": _forward(mesh, joints, unit_vector(said.up)), "root": mesh.joints[joints["pelvis"]]}
+    spec = RigSpec.model_validate({**own, "keep": [], "origin": "mid_hip"} | said.model_dump(exclude_unset=True))
     at = mesh.vertices @ spec.to_rest().T, mesh.frames[:, :3, 3] @ spec.to_rest().T
     named = {role: mesh.joints[b] for role, b in joints.items()}
     specs = {named["pelvis"]: JointSpec(segment="pelvis")}
     specs |= {named[role]: _joint(segment, "") for role, segment in _TRUNK.items()}
     for side in "rl":
         specs |= _limbs(named, side)
-    return spec.model_copy(update={"joints": specs, "landmarks": _landmarks(mesh, joints, *at)})
+    marks = _landmarks(mesh, joints, *at) | (said.landmarks or {})
+    return spec.model_copy(update={"joints": specs, "landmarks": marks})
 
 
-def _forward(mesh: SkinnedMesh, joints: Mapping[str, int]) -> Axis:
+def _forward(mesh: SkinnedMesh, joints: Mapping[str, int], up: Float) -> Axis:
     """The file's level axis that the body looks along: left × up, by the hips."""
     left = mesh.frames[joints["thigh_l"], :3, 3] - mesh.frames[joints["thigh_r"], :3, 3]
-    ahead = np.cross(left, [0.0, 1.0, 0.0])
-    axis: dict[tuple[int, bool], Axis] = {(0, True): "x", (0, False): "-x", (2, True): "z", (2, False): "-z"}
-    k = 0 if abs(ahead[0]) > abs(ahead[2]) else 2
-    return axis[k, bool(ahead[k] > 0)]
+    ahead = np.cross(left, up)
+    return AXES[int(np.argmax(np.r_[ahead, -ahead]))]
 
 
 def _joint(segment: str, side: str, aim: Aim | None = None) -> JointSpec:

@@ -1,4 +1,5 @@
-"""The meaning of a rigged mesh's joints: the TOML beside a GLB or an OBJ. All keys are optional:
+"""The meaning of a rigged mesh's joints: the TOML beside a GLB or an OBJ. All keys are optional; without [joints] those
+of a GLB of a known rig (`rig_presets`) stay, and the other keys go over its own. An empty file asks for free joints.
 
     root = "Hips"            # the joint that carries the six degrees of freedom (default: the top of the tree)
     up = "y"                 # the file's vertical axis, "y" or "z"
@@ -39,6 +40,7 @@ RIG_PAGE = "docs/formats/body-files.md"
 """About rig files, the mend where a mesh is not understood."""
 Vector = tuple[float, float, float]
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
+AXES: tuple[Axis, ...] = ("x", "y", "z", "-x", "-y", "-z")
 
 
 class Aim(BaseModel, extra="forbid"):
@@ -87,6 +89,11 @@ class RigSpec(BaseModel, extra="forbid"):
         if (self.forward or "").endswith(self.up):
             raise ValueError(f"forward = {self.forward!r} cannot be the vertical axis, up = {self.up!r}")
         return self
+
+    @property
+    def says_joints(self) -> bool:
+        """Whether it says what the joints mean: under [joints], or, with no key at all, that each turns freely."""
+        return "joints" in self.model_fields_set or not self.model_fields_set
 
     def to_rest(self) -> Float:
         """(3, 3) from the file's axes and units to ours: x forward, y left, z up, m."""
