@@ -34,13 +34,13 @@ def bone_names(rig: str) -> tuple[str, ...]:
     return tuple(map(named, humanoid().segment_names))
 
 
-def rigged_glb(path: Path, rig: str = "Mixamo", **top: list[float]) -> Path:
-    """The humanoid as a GLB that says nothing of twistcap; `top` are properties of the node above its bones."""
+def rigged_glb(path: Path, **top: list[float]) -> Path:
+    """The humanoid with Mixamo's bones as a GLB that says nothing of twistcap; `top` are properties of the node above its bones."""
     save_glb(humanoid(), path)
     file = GLTF2().load(str(path))
-    assert file is not None
+    assert file is not None and file.skins[0].joints is not None and file.skins[0].skeleton is not None
     file.asset.extras = file.skins[0].extras = {}
-    for joint, name in zip(file.skins[0].joints, bone_names(rig), strict=True):
+    for joint, name in zip(file.skins[0].joints, bone_names("Mixamo"), strict=True):
         file.nodes[joint].name = name
     vars(file.nodes[file.skins[0].skeleton]).update(top)
     file.save(str(path))

@@ -22,9 +22,12 @@ from twistcap.body.gltf import Rigged, load_rigged
 from twistcap.body.kinematics import Pose, Posed
 from twistcap.body.model import Body
 from twistcap.body.rig import RestJoints, in_tree_order, rest_joints
+from twistcap.body.rig_spec import RigSpec
 from twistcap.errors import check
 
 _STILL = 1e-5  # rad or m by which a bone that has no channel may differ from its rest
+_STATURES = (0.5, 2.0)  # of a tracked body, as factors on its file's
+_APART = 0.15  # of the height; legs that are longer by a fifth put no joint so far from its place
 _MEND = "give the file that the session names, and its rig file with --rig where it has one"
 
 
@@ -36,7 +39,7 @@ class BoneMotion:
         rigged: the file.
         rest: its joints in the body's rest pose.
         turns: (T, B, 3, 3) rotations of the joints' frames to the world; NaN for joints above the root, which stay.
-        places: (T, 3) of the root's head, m.
+        places: (T, 3) of the root's head, in the file's unit.
     """
 
     rigged: Rigged
@@ -51,21 +54,31 @@ class BoneMotion:
         return se3.transform(_rotation(frames[:, :3, :3]), frames[:, :3, 3])
 
 
-def bone_motion(body: Body, poses: Sequence[Pose], source: Path | str, rig: Path | str | None = None) -> BoneMotion:
+def bone_motion(
+    body: Body, poses: Sequence[Pose], source: Path | str, rig: Path | str | RigSpec | None = None
+) -> BoneMotion:
     """The poses of a body as motion of the joints of the GLB that it was made of.
 
-    Raises InputError for a file that `load_rigged` refuses, or whose segments are not the body's.
+    Raises InputError for a file that `load_rigged` refuses, or whose joints are not the body's, by name or by place.
     """
     rigged = load_rigged(source, rig)
-    same = rigged.body.segment_names == body.segment_names and rigged.body.coordinate_names == body.coordinate_names
-    check(str(source), same, f"its joints are not those of the tracked body; {_MEND}")
+    check(str(source), _same_joints(rigged.body, body), f"its joints are not those of the tracked body; {_MEND}")
     rest = rest_joints(rigged.mesh, rigged.spec)
     motions = np.array([Posed(body, pose).segment_transforms for pose in poses])
     turns = TO_REST.T @ motions[:, rest.owner, :3, :3] @ rest.frames[:, :3, :3]
     turns[:, rest.owner < 0] = np.nan
     # The root's head in the tracked body: its own rest pose may have other lengths, but the root is its origin's frame.
     head = se3.apply(motions[:, rest.owner[rest.root]], rest.frames[rest.root, :3, 3][None])[:, 0]
-    return BoneMotion(rigged, rest, turns, head @ TO_REST)
+    return BoneMotion(rigged, rest, turns, head @ TO_REST / rigged.spec.scale)
+
+
+def _same_joints(file: Body, body: Body) -> bool:
+    """Whether two bodies have joints of the same names, and but for their statures in about the same places."""
+    if file.segment_names != body.segment_names or file.coordinate_names != body.coordinate_names:
+        return False
+    size, own = (float(np.ptp(each.vertices, axis=0).max()) for each in (body, file))
+    apart = np.clip(size / own, *_STATURES) * file.joint_origins - body.joint_origins
+    return bool(np.abs(apart).max() < _APART * size)
 
 
 def animate_glb(motion: BoneMotion, path: Path | str, times: Float, notes: Mapping[str, Any] | None = None) -> None:

@@ -240,8 +240,9 @@ def _check_names(mesh: SkinnedMesh, spec: RigSpec) -> None:
     named += [(f"joints.{name}.aim.at", j.aim.at) for name, j in spec.joints.items() if j.aim]
     named += [(f"landmarks.{m}", s if isinstance(s, str) else s.joint) for m, s in (spec.landmarks or {}).items()]
     named += [("root", spec.root)] if spec.root is not None else []
+    some = ", ".join(mesh.joints[:4])
     for key, name in named:
-        check(mesh.source, name in mesh.joints, f"{key} names the joint {name!r}, which is not in the file")
+        check(mesh.source, name in mesh.joints, f"{key} names the joint {name!r}, which is not in it; it has {some} …")
 
 
 def _landmarks(mesh: SkinnedMesh, spec: RigSpec) -> Landmarks:
