@@ -66,7 +66,9 @@ def test_a_rig_file_without_joints_goes_over_the_preset(mesh: SkinnedMesh, said:
 def test_a_rig_with_gaps_is_told_and_an_unknown_one_is_left_alone() -> None:
     mesh = mesh_of("Mixamo")
     gap = replace(mesh, joints=tuple("Stump" if "LeftFoot" in name else name for name in mesh.joints))
-    with pytest.raises(InputError, match="look like a Mixamo rig, but leftfoot"):
+    with pytest.raises(
+        InputError, match="the rig of Mixamo, but LeftFoot cannot be found: it has Stump; rename them, or"
+    ):
         preset_spec(gap)
     strange = replace(mesh, joints=tuple(f"bone_{k}" for k in range(len(mesh.joints))))
     assert preset_spec(strange) is None

@@ -35,7 +35,10 @@ def bone_names(rig: str) -> tuple[str, ...]:
 
 
 def rigged_glb(path: Path, **top: list[float]) -> Path:
-    """The humanoid with Mixamo's bones as a GLB that says nothing of twistcap; `top` are properties of the node above its bones."""
+    """The humanoid with Mixamo's bones, as a GLB that says nothing of twistcap.
+
+    `top` are properties of the node above its bones.
+    """
     save_glb(humanoid(), path)
     file = GLTF2().load(str(path))
     assert file is not None and file.skins[0].joints is not None and file.skins[0].skeleton is not None

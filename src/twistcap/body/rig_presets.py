@@ -33,35 +33,35 @@ _LIKELY = 0.6  # share of the bones from which a rig is taken for a known one wi
 
 @dataclass(frozen=True)
 class Preset:
-    """The plain names (see `plain`) of a rig's bones: four of the middle, seven of a side, in which * is the side."""
+    """The usual names of a rig's bones: four of the middle, seven of a side, in which * is the side."""
 
     name: str
     middle: tuple[str, str, str, str]
     sided: tuple[str, str, str, str, str, str, str]
-    sides: tuple[str, str] = ("left", "right")
+    sides: tuple[str, str] = ("Left", "Right")
 
     @property
     def bones(self) -> dict[str, str]:
-        """Plain name by role, such as ``thigh_r``."""
+        """Usual name by role, such as ``thigh_r``."""
         found: dict[str, str] = dict(zip(_MIDDLE, self.middle, strict=True))
         for side, word in zip("lr", self.sides, strict=True):
             found |= {f"{r}_{side}": n.replace("*", word) for r, n in zip(_SIDED, self.sided, strict=True)}
         return found
 
 
-_CLASSIC = ("*arm", "*forearm", "*hand", "*upleg", "*leg", "*foot", "*toebase")
+_CLASSIC = ("*Arm", "*ForeArm", "*Hand", "*UpLeg", "*Leg", "*Foot", "*ToeBase")
 PRESETS = (
-    Preset("CMU", ("hips", "lowerback", "neck", "head"), _CLASSIC),
-    Preset("Mixamo", ("hips", "spine", "neck", "head"), _CLASSIC),
-    Preset("Rigify", ("spine", "spine001", "spine004", "spine006"),
-           ("upperarm*", "forearm*", "hand*", "thigh*", "shin*", "foot*", "toe*"), ("l", "r")),
-    Preset("VRM", ("bipchips", "bipcspine", "bipcneck", "bipchead"),
-           ("bip*upperarm", "bip*lowerarm", "bip*hand", "bip*upperleg", "bip*lowerleg", "bip*foot", "bip*toebase"),
-           ("l", "r")),
-    Preset("Unreal", ("pelvis", "spine01", "neck01", "head"),
-           ("upperarm*", "lowerarm*", "hand*", "thigh*", "calf*", "foot*", "ball*"), ("l", "r")),
-    Preset("Unity", ("hips", "spine", "neck", "head"),
-           ("*upperarm", "*lowerarm", "*hand", "*upperleg", "*lowerleg", "*foot", "*toes")),
+    Preset("CMU", ("Hips", "LowerBack", "Neck", "Head"), _CLASSIC),
+    Preset("Mixamo", ("Hips", "Spine", "Neck", "Head"), _CLASSIC),
+    Preset("Rigify", ("spine", "spine.001", "spine.004", "spine.006"),
+           ("upper_arm.*", "forearm.*", "hand.*", "thigh.*", "shin.*", "foot.*", "toe.*"), ("L", "R")),
+    Preset("VRM", ("J_Bip_C_Hips", "J_Bip_C_Spine", "J_Bip_C_Neck", "J_Bip_C_Head"),
+           ("J_Bip_*_UpperArm", "J_Bip_*_LowerArm", "J_Bip_*_Hand", "J_Bip_*_UpperLeg", "J_Bip_*_LowerLeg",
+            "J_Bip_*_Foot", "J_Bip_*_ToeBase"), ("L", "R")),
+    Preset("Unreal", ("pelvis", "spine_01", "neck_01", "head"),
+           ("upperarm_*", "lowerarm_*", "hand_*", "thigh_*", "calf_*", "foot_*", "ball_*"), ("l", "r")),
+    Preset("Unity", ("Hips", "Spine", "Neck", "Head"),
+           ("*UpperArm", "*LowerArm", "*Hand", "*UpperLeg", "*LowerLeg", "*Foot", "*Toes")),
 )  # fmt: skip
 
 
@@ -84,7 +84,7 @@ class Fit:
 
     @property
     def missing(self) -> list[str]:
-        """Plain names of the bones that it must have and has not."""
+        """Usual names of the bones that it must have and has not."""
         needed = {role: bone for role, bone in self.preset.bones.items() if role.split("_")[0] not in _OPTIONAL}
         return [bone for role, bone in needed.items() if role not in self.joints]
 
@@ -115,12 +115,17 @@ def preset_spec(mesh: SkinnedMesh, said: RigSpec | None = None) -> RigSpec | Non
     if fit.missing and fit.share < _LIKELY:
         return None
     if fit.missing:
-        some = ", ".join(fit.missing[:4])
-        raise InputError(
-            f"{mesh.source}: its bones look like a {fit.preset.name} rig, but {some} cannot be found; write a rig file "
-            f"beside it ({RIG_PAGE})."
-        )
+        lacks, has = ", ".join(fit.missing[:4]), ", ".join(_other_bones(mesh, fit)[:4]) or "no other bone"
+        mend = f"it has {has}; rename them, or write a rig file with [joints] ({RIG_PAGE})"
+        look = f"its bones look like the rig of {fit.preset.name}, but {lacks} cannot be found"
+        raise InputError(f"{mesh.source}: {look}: {mend}.")
     return _spec(mesh, fit.joints, said or RigSpec())
+
+
+def _other_bones(mesh: SkinnedMesh, fit: Fit) -> list[str]:
+    """The bones that have no role, those with most skin first."""
+    order, known = np.argsort(-mesh.weights.sum(axis=0)).tolist(), set(fit.joints.values())
+    return [mesh.joints[b] for b in order if b not in known]
 
 
 def _joints_of(mesh: SkinnedMesh, preset: Preset) -> dict[str, int]:
@@ -128,7 +133,7 @@ def _joints_of(mesh: SkinnedMesh, preset: Preset) -> dict[str, int]:
     skin, found = mesh.weights.sum(axis=0), dict[str, list[int]]()
     for b, name in enumerate(mesh.joints):
         found.setdefault(plain(name), []).append(b)
-    roles = {role: found[bone] for role, bone in preset.bones.items() if bone in found}
+    roles = {role: found[plain(bone)] for role, bone in preset.bones.items() if plain(bone) in found}
     return {role: max(bones, key=lambda b: skin[b]) for role, bones in roles.items()}
 
 
