@@ -364,6 +364,9 @@ def test_bad_input_to_the_fit(body: Body) -> None:
         fit_keypoints(body, rig, Keypoints(names, good.pixels[:3], good.confidence))
     with pytest.raises(InputError, match="finite"):
         fit_keypoints(body, rig, Keypoints(names, good.pixels * np.nan, good.confidence))
+    others = tuple(f"bone {k}" for k in range(len(names)))
+    with pytest.raises(InputError, match=r"has 0 of their \d+ joints, and no bone 0, bone 1, .* needs a rig file"):
+        fit_keypoints(body, rig, Keypoints(others, good.pixels, good.confidence))
     few = good.confidence * (np.arange(len(names)) < 4)
     with pytest.raises(InputError, match="only 4 joints"):
         fit_keypoints(body, rig, Keypoints(names, good.pixels, few))

@@ -125,6 +125,9 @@ def test_a_glb_of_which_no_rig_is_known_is_said(
     if q != "{}":
         sentence = refusal(capsys, "session", path)
         assert "extension'; check [body]; a GLB of no known rig needs a rig file (" in sentence
+        assert run("track", path, "--out", tmp_path / "out") == 2
+        told = " ".join(capsys.readouterr().err.split())
+        assert 0 < told.find("its rig is not known (") < told.find("twistcap: ")
     else:
         sentence = document(capsys, "session", path)["body"]
         assert "its rig is not known (" in sentence

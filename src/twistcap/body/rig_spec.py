@@ -37,7 +37,9 @@ from twistcap.doors.strict import validated
 from twistcap.doors.text import read_toml
 
 RIG_PAGE = "docs/formats/body-files.md"
-"""About rig files, the mend where a mesh is not understood."""
+"""About rig files."""
+RIG_MEND = f"a GLB of no known rig needs a rig file ({RIG_PAGE})"
+"""Where a body lacks joints that it should have."""
 Vector = tuple[float, float, float]
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 AXES: tuple[Axis, ...] = ("x", "y", "z", "-x", "-y", "-z")

@@ -134,12 +134,14 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
         mend = "go on with --resume, replace them with --overwrite, or choose another --out"
         raise InputError(f"{path} holds {len(done)} tracked frames; {mend}.")
     with words.status("reading the session, fitting the first pose"):
+        if said := body_in_words(session):  # first, since it may be why there is no first pose
+            terminal.say(said)
         recording = open_recording(session)
         views, made = recording.views, made_of(session, recording.views)
     for source in views.sources:
         if source.note:
             terminal.say(f"{source.note}.")
-    for said in filter(None, (rate_in_words(session, views), body_in_words(session), recording.note)):
+    for said in filter(None, (rate_in_words(session, views), recording.note)):
         terminal.say(said)
     show_start(recording.report)
     tracker = session_tracker(session, recording.body, views, watch=True)

@@ -13,7 +13,7 @@ import numpy as np
 from twistcap.adjust.first_pose import Proportions
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, rescaled
-from twistcap.body.rig_spec import RIG_PAGE
+from twistcap.body.rig_spec import RIG_MEND
 from twistcap.doors.npz import read_npz
 from twistcap.doors.schema import Schema, real, word
 from twistcap.doors.text import finite_number, number_array, read_json_table
@@ -129,8 +129,8 @@ def _by_name(path: Path, body: Body, q: Mapping[str, Any]) -> Float:
     out = np.zeros(len(body.coordinate_names))
     for name, value in q.items():
         if name not in body.coordinate_names:
-            mend = f"check [body]; a GLB of no known rig needs a rig file ({RIG_PAGE})"
-            raise InputError(f"pose file {path}: body {body.name!r} has no coordinate {name!r}; {mend}.")
+            lack = f"body {body.name!r} has no coordinate {name!r}; check [body]; {RIG_MEND}"
+            raise InputError(f"pose file {path}: {lack}.")
         angle = finite_number(value, f"pose file {path}: coordinate {name!r}")
         if abs(angle) > _FARTHEST:
             raise InputError(f"pose file {path}: coordinate {name!r} is {angle:g}; it must be an angle, rad.")

@@ -200,9 +200,7 @@ def body_of(session: Session) -> Body:
     body = session.body
     if isinstance(body, HumanoidBody):
         return humanoid(**body.model_dump(exclude={"kind"}))
-    for key, path in body.model_dump(include={"path", "rig", "weights", "spec"}, exclude_none=True).items():
-        if not Path(path).exists():
-            raise InputError(f"{session.source or 'body'}: [body] {key}: {path} does not exist; check its path.")
+    _check_files(session)
     if isinstance(body, GlbBody):
         loaded = body.described[0]
     else:
@@ -223,7 +221,17 @@ def rate_in_words(session: Session, views: Views) -> str:
 
 def body_in_words(session: Session) -> str:
     """Of a GLB, where the meaning of its joints is from; "" for other bodies. Raises InputError as `body_of`."""
-    return session.body.described[1] if isinstance(session.body, GlbBody) else ""
+    if not isinstance(session.body, GlbBody):
+        return ""
+    _check_files(session)
+    return session.body.described[1]
+
+
+def _check_files(session: Session) -> None:
+    files = session.body.model_dump(include={"path", "rig", "weights", "spec"}, exclude_none=True)
+    for key, path in files.items():
+        if not Path(path).exists():
+            raise InputError(f"{session.source or 'body'}: [body] {key}: {path} does not exist; check its path.")
 
 
 def _first_pose(session: Session, rig: Rig, body: Body, views: Views) -> tuple[_Start, Pose]:

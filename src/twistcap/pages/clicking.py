@@ -15,7 +15,7 @@ import numpy as np
 from twistcap.adjust.first_pose import FirstPose, Proportions, fit_keypoints
 from twistcap.arrays import UInt8
 from twistcap.body import Body, Pose, Posed, rescaled
-from twistcap.body.rig_spec import RIG_PAGE
+from twistcap.body.rig_spec import RIG_MEND
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
@@ -194,8 +194,7 @@ class Clicking:
         angles: dict[str, float] = {}
         for name, value in mapping_of(given, "held").items():
             if name not in self.generic.coordinate_names:
-                mend = f"a GLB of no known rig needs a rig file ({RIG_PAGE})"
-                raise InputError(f"the body {self.generic.name!r} has no coordinate {name!r}; {mend}.")
+                raise InputError(f"the body {self.generic.name!r} has no coordinate {name!r}; {RIG_MEND}.")
             lower, upper = self.generic.limits[self.generic.coordinate(name)]
             angles[name] = float(np.clip(np.deg2rad(numbers_of([value], name, 1)[0]), lower, upper))
         return angles

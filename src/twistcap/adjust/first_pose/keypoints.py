@@ -14,6 +14,7 @@ from twistcap.adjust.first_pose.skeleton import Scaling, Skeleton
 from twistcap.arrays import Float, Int
 from twistcap.body import Body, Pose
 from twistcap.body.model import unsided
+from twistcap.body.rig_spec import RIG_MEND
 from twistcap.camera import Rig, pinhole
 from twistcap.errors import InputError, check
 from twistcap.estimate import Keypoints
@@ -57,13 +58,16 @@ def evidence(body: Body, rig: Rig, keypoints: Keypoints, sigma_px: float | None 
     """Check keypoints against body and rig, undistort them, and give each its standard deviation.
 
     Arguments are those of `fit_keypoints`. Raises InputError for arrays of the wrong shape, values that are not finite,
-    or fewer than two views.
+    fewer than two views, or joints that the body does not have.
     """
     _check(rig, keypoints)
     check_views(rig)
     known = {name: i for i, name in enumerate(body.landmarks.names)}
     columns = np.array([i for i, name in enumerate(keypoints.names) if name in known], np.int32)
     names = [keypoints.names[i] for i in columns]
+    lacks = [name for name in keypoints.names if name not in known]
+    own = f"the body {body.name!r} has {len(names)} of their {len(keypoints.names)} joints"
+    check("keypoints", len(names) >= 3 or not lacks, f"{own}, and no {', '.join(lacks[:4])} …; {RIG_MEND}")
     pixels = np.stack([_undistorted(rig, c, keypoints.pixels[c, columns]) for c in range(len(rig))])
     weights = np.where(np.isfinite(pixels).all(axis=-1), keypoints.confidence[:, columns], 0.0)
     enough = np.count_nonzero((weights > 0).sum(axis=1) >= 3) >= 2
