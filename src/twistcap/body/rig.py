@@ -108,16 +108,16 @@ def check_standing(names: Sequence[str], points: Float, vertices: Float, source:
     `points` (L, 3) are of the landmarks, `vertices` (V, 3) of the surface: z up, m. Messages begin with `source`.
     Raises InputError where it has not, mostly for a file with another axis up or another unit.
     """
-    heights = dict(zip(names, points[:, 2].tolist(), strict=True))
-    high, low = ([heights[name] for name in each if name in heights] for each in TALLER)
+    marks = dict(zip(names, points, strict=True))
+    high, low = ([marks[name] for name in each if name in marks] for each in TALLER)
     if not high or not low:
         return
-    size = np.ptp(vertices, axis=0)
+    line, height = np.mean(high, axis=0) - np.mean(low, axis=0), float(np.ptp(vertices[:, 2]))
     mend = f'export it with +Y up, or say up = "z" in a rig file ({RIG_PAGE})'
     said = f"in its rest pose the head is not above the feet, so its axes are wrong; {mend}"
-    check(source, max(high) - min(low) >= 0.5 * float(size.max()), said)
+    check(source, line[2] > 0.5 * np.linalg.norm(line), said)
     mend = f"export it in metres, or say scale in a rig file, as scale = 0.01 for cm ({RIG_PAGE})"
-    check(source, _HEIGHTS[0] < size[2] < _HEIGHTS[1], f"the body is {size[2]:.3g} m high; {mend}")
+    check(source, _HEIGHTS[0] < height < _HEIGHTS[1], f"the body is {height:.3g} m high; {mend}")
 
 
 def compact_binding(weights: Float, influences: int, source: str = "mesh") -> tuple[Int, Float]:
