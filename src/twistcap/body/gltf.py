@@ -40,10 +40,8 @@ def load_glb(path: Path | str, rig: Path | str | RigSpec | None = None) -> Body:
 
     `rig` is the meaning of the joints (`rig_spec`), by default <name>.rig.toml beside the file if there is one. Where
     that says no joints, they are those of a rig whose bone names are known (`rig_presets`); of any other, every joint
-    is a ball joint without limits.
-    Raises InputError if the file cannot be read or has no skin, for
-    primitives that are not triangles, buffers that are missing, compressed or too short, and for what `build_body`
-    refuses.
+    is a ball joint without limits. Raises InputError if the file cannot be read or has no skin, for primitives that are
+    not triangles, buffers that are missing, compressed or too short, and for what `build_body` refuses.
     """
     return _loaded(Path(path), rig).body
 
