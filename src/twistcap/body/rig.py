@@ -242,7 +242,7 @@ def _check_names(mesh: SkinnedMesh, spec: RigSpec) -> None:
     named += [("root", spec.root)] if spec.root is not None else []
     some = ", ".join(mesh.joints[:4])
     for key, name in named:
-        check(mesh.source, name in mesh.joints, f"{key} names the joint {name!r}, which is not in it; it has {some} …")
+        check(mesh.source, name in mesh.joints, f"{key} names the joint {name!r}, which is not in it; it has {some}")
 
 
 def _landmarks(mesh: SkinnedMesh, spec: RigSpec) -> Landmarks:
