@@ -17,7 +17,7 @@ from twistcap.body.rig_spec import RIG_PAGE, JointSpec, LandmarkSpec, RigSpec
 from twistcap.errors import InputError, check
 
 _MOST_WEIGHTS = 25_000_000  # numbers of a dense binding
-_HEIGHTS = (0.4, 3.5)  # m, of a person; what is beyond is in another unit
+_HEIGHTS = (0.15, 3.5)  # m, of whoever has a head and feet; what is beyond is in another unit
 TALLER = ("head_top", "nose", "neck"), ("ankle_r", "ankle_l", "heel_r", "heel_l")
 """Landmarks of head and feet."""
 KINDS: tuple[Literal["revolute", "universal", "ball"], ...] = ("revolute", "universal", "ball")
