@@ -165,7 +165,7 @@ class _Walk:
         """(3,) level direction of a stride whose heel has gone a way (3,): along it, if it has advanced."""
         level = way * [1.0, 1.0, 0.0]
         length, ahead = float(np.linalg.norm(level)), self.forward[frame]
-        return level / length * np.sign(level @ ahead) if length >= _ADVANCING else ahead
+        return level / length * np.copysign(1.0, level @ ahead) if length >= _ADVANCING else ahead
 
 
 def _level_angle(forward: Float) -> Float:
