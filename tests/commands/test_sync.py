@@ -22,7 +22,7 @@ from twistcap.errors import InputError
 from twistcap.estimate import Estimate
 from twistcap.io.calibration import read_rig, write_rig
 from twistcap.io.clocks import Clock
-from twistcap.io.recording import rig_of
+from twistcap.io.recording import _shown_from, rig_of, views_of  # pyright: ignore[reportPrivateUsage]
 from twistcap.io.session import load_session
 from twistcap.io.synthetic import write_session
 from twistcap.studio import StudioConfig, capture
@@ -49,6 +49,19 @@ def test_a_wrong_clock_is_put_right(walk: Path, tmp_path: Path, capsys: pytest.C
         assert abs(row["after_s"]) * FPS < 0.25
     clocks = load_session(session).clocks
     assert clocks["cam02"].offset == rows["cam02"]["after_s"]
+
+
+def test_frames_that_clocks_on_trial_take_from_a_camera_do_not_end_it(walk: Path) -> None:
+    """All frames of the file are looked at for a first pose, as far as all cameras have them by these clocks."""
+    path = walk.with_name("whole.toml")
+    late = "".join(f"\n[clocks.cam0{c}]\noffset = 0.05  # three frames\n" for c in (2, 3, 4))
+    path.write_text("frames = [0, 35]\n" + walk.read_text() + late)
+    session, together = sync._window(load_session(path), 12)  # pyright: ignore[reportPrivateUsage]
+    rig = rig_of(session)
+    with pytest.raises(InputError, match="images of"):
+        views_of(session.whole, rig)
+    shown = _shown_from(session, rig, views_of(session, rig))
+    assert (shown.indices[0], shown.indices[-1]) == together == (3, 35)
 
 
 @pytest.mark.parametrize("start", ["auto", "given"])

@@ -36,6 +36,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ("line", "told"),
     [
         ("motions build notes.txt result.h5", "OUT is notes.txt; name a file that ends in .npz."),
+        ("view result.h5 --json", "view: --json goes with --save; a page that is served has no document."),
         ("prior train walk1.mot result.h5", "OUT is walk1.mot; name a file that ends in .npz."),
         ("convert Calib.toml x.mp4", "OUT is x.mp4; name a file that ends in .toml."),
         ("convert Calib.toml c.txt --to qualisys", "OUT is c.txt; name a file that ends in .qca.txt."),

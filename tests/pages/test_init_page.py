@@ -268,6 +268,20 @@ def test_clicks_say_what_is_wrong(made: Path, session: Path) -> None:
             answer({})
 
 
+def test_clicks_that_could_not_be_fitted_are_not_saved_beside_another_pose(made: Path, session: Path) -> None:
+    clicking = clicking_of(load_session(session), session)
+    good = clicked(made, clicking)
+    clicking.fit({"clicks": good})
+    with pytest.raises(InputError, match="two cameras"):
+        clicking.fit({"clicks": {"cam01": good["cam01"]}})
+    with pytest.raises(InputError, match="not of these clicks"):
+        clicking.save({})
+    assert not clicking.target.path.exists()
+    clicking.fit({"clicks": good})
+    clicking.save({})
+    assert clicking.target.path.exists()
+
+
 def test_a_session_that_reads_clicks_gets_clicks(
     made: Path, session: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

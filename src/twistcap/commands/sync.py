@@ -156,7 +156,9 @@ def _coarse(
             continue
         signals = _signals(session, names, given, way)
         if signals is None and start == way:
-            raise InputError(f"--start is {way!r}, but a camera has none; choose another, or leave it out.")
+            raise InputError(
+                f"--start is {way!r}, but not all cameras have a second of it; choose another, or leave it out."
+            )
         if signals is not None:
             found[way] = _together(signals, way)
             if _clearness(way, found[way]) > 1.0:

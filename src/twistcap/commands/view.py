@@ -47,6 +47,8 @@ def view(
     """
     from twistcap.io.files import replacing
 
+    if json and save is None:
+        raise InputError("view: --json goes with --save; a page that is served has no document.")
     if save is not None:
         terminal.output_file(save, "--save", ".html")
     page = _page(list(map(terminal.result_file, results)), reference, session, width, images)

@@ -88,10 +88,15 @@ def _opened(session: Session, rig: Rig, views: Views, body: Body) -> Recording:
 
 
 def _shown_from(session: Session, rig: Rig, views: Views) -> Views:
-    """All frames of the session's file from the first on that is tracked: few tell little of where somebody is."""
-    if session.frames == session.whole.frames:
+    """All frames of the session's file from the first on that is tracked: few tell little of where somebody is.
+
+    By clocks that are tried, not all cameras may have all of them.
+    """
+    frames, together = session.whole.frames, views.timeline.together
+    if session.frames == frames:
         return views
-    whole = views_of(session.whole, rig).starting_at(views.indices[0])
+    frames = frames and (max(frames[0], together[0]), min(frames[1], together[-1]))
+    whole = views_of(session.model_copy(update={"frames": frames}), rig).starting_at(views.indices[0])
     return whole if len(whole) > len(views) and whole.indices[0] == views.indices[0] else views
 
 

@@ -63,6 +63,9 @@ class Clicking:
     target: Target
     silhouettes: tuple[Silhouette | None, ...] = ()  # of the first frame, one per camera; none: nothing to hold against
     clicks: Clicks = field(default_factory=lambda: dict[str, dict[str, tuple[float, float]]]())
+    fitted: Clicks = field(
+        default_factory=lambda: dict[str, dict[str, tuple[float, float]]]()
+    )  # the last that could be
     shown: Posed | None = None  # body and pose at present; None before the first fit
     proportions: Proportions = field(default_factory=lambda: Proportions({}, {}))
     last: tuple[Keypoints, FirstPose] | None = None  # clicks and what was fitted to them; sliders may have moved it
@@ -127,6 +130,8 @@ class Clicking:
         """
         if self.shown is None:
             raise InputError("there is nothing to save yet; click a handful of joints in two views first.")
+        if self.clicks != self.fitted:
+            raise InputError("the pose shown is not of these clicks, which could not be fitted; mend them first.")
         if self.target.kind == "clicks":
             self._fitted({}, None)  # as the tracker will see it
         check_first_pose(self.session, self.rig, self.shown.body, self.shown.pose)
@@ -157,7 +162,7 @@ class Clicking:
         fit = fit_keypoints(body, self.rig, clicked(rows, self.rig.names), fit_lengths=lengths, start=start)
         self.proportions = made = fit.proportions
         self.shown = Posed(rescaled(self.generic, made.lengths, made.girths, made.stature), fit.pose)
-        self.last = clicked(rows, self.rig.names), fit
+        self.last, self.fitted = (clicked(rows, self.rig.names), fit), self.clicks
         return fit
 
     def _state(self) -> dict[str, Any]:
