@@ -146,6 +146,14 @@ def test_views_that_contradict_each_other_and_a_wrong_format_are_told_apart(tmp_
     assert "their format is another one" in report(told, mixed).warnings[-1]
 
 
+def test_keypoints_of_another_size_of_image_are_no_matter_of_the_board(tmp_path: Path, person: Posed) -> None:
+    """Lengths that are wrong as a whole leave keypoints on the body, halved pixels do not."""
+    rig = ring()
+    points = keypoints(person, rig)
+    with pytest.raises(InputError, match=r"contradict each other.*sizes of image"):
+        report(session(tmp_path, rig), replace(points, pixels=0.5 * points.pixels))
+
+
 def test_ten_pixels_are_too_many_in_a_small_image(tmp_path: Path, person: Posed) -> None:
     """The person is some 230 px high there; in a large image, as of `balance_4view`, ten are usual."""
     rig = ring()

@@ -6,7 +6,7 @@ became, and the file that is probably wrong is named.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,7 +63,8 @@ def start_report(session: Session, rig: Rig, generic: Body, keypoints: Keypoints
     stature = whole * rest_height(fit.body)
     size = stature if session.fits_lengths else whole * rest_height(fit_keypoints(generic, rig, keypoints).body)
     lengths = {unsided(name): factor for name, factor in fit.proportions.lengths.items()}
-    warnings = [*_size_warning(session, size, stated), *_residual_warnings(session, generic, rig, keypoints, fit)]
+    far = _residual_warnings(session, generic, rig, keypoints, fit)
+    warnings = [*_size_warning(session, size, stated, far), *far]
     return StartReport(fit.cameras, fit.names, fit.residual_px, stature, stated, lengths, tuple(warnings))
 
 
@@ -72,8 +73,10 @@ def rest_height(body: Body) -> float:
     return float(np.ptp(body.vertices[:, 2]))
 
 
-def _size_warning(session: Session, size: float, stated: float) -> list[str]:
-    """A person who is much larger or smaller than stated: mostly the unit or the board's squares."""
+def _size_warning(session: Session, size: float, stated: float, far: Sequence[str]) -> list[str]:
+    """A person who is much larger or smaller than stated: mostly the unit or the board's squares. These leave keypoints
+    on the body; where what is said of them is that they are `far` from it, that is the cause.
+    """
     ratio, calibration = size / stated, f"calibration {session.cameras.calibration}"
     said = not isinstance(session.body, HumanoidBody) or "stature" in session.body.model_fields_set
     what = "the body of [body] is" if isinstance(session.body, GlbBody) else "[body] stature is"
@@ -84,10 +87,11 @@ def _size_warning(session: Session, size: float, stated: float) -> list[str]:
         odd, absurd = not _PEOPLE[0] < size < _PEOPLE[1], size > _GIANT
         fact = f"by the keypoints the person is {size:.2f} m tall"
     larger = f"{ratio:.2f} times too large" if ratio > 1 else f"{1 / ratio:.2f} times too small"
-    mend = "check the size of its board's squares and its unit" + (", or [body]" if said else ", or set [body] stature")
+    mend = "check the size of its board's squares and its unit, and that keypoints are of images of its size"
+    mend += ", or [body]" if said else ", or set [body] stature"
     sentence = f"{calibration}: {fact}; its lengths are probably {larger}: {mend}."
     if absurd:
-        raise InputError(sentence)
+        raise InputError(far[0] if far else sentence)
     return [sentence] if odd else []
 
 
@@ -111,8 +115,8 @@ def _residual_warnings(
         return [f"camera {name}: its keypoints are {off:.0f} px from the body that the others agree on; {causes}."]
     off = f"the keypoints of {given} are {np.nanmedian(median):.0f} px from the fitted body"
     if _agreement(seen, limit) < 0.5:
-        causes = f"the views contradict each other: {calibration} is of another set-up, or they are of other frames"
-        return [f"{off}, and {causes} or people."]
+        causes = f"the views contradict each other: {calibration} is of another set-up, or they are of other frames,"
+        return [f"{off}, and {causes} people or sizes of image."]
     return [f"{off}, though the views agree: their format is another one, or [body] cannot take this pose."]
 
 
