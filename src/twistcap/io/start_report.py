@@ -87,7 +87,7 @@ def _size_warning(session: Session, size: float, stated: float, far: Sequence[st
         odd, absurd = not _PEOPLE[0] < size < _PEOPLE[1], size > _GIANT
         fact = f"by the keypoints the person is {size:.2f} m tall"
     larger = f"{ratio:.2f} times too large" if ratio > 1 else f"{1 / ratio:.2f} times too small"
-    mend = "check the size of its board's squares and its unit, and that keypoints are of images of its size"
+    mend = "check its unit, the size of its board's squares and of the keypoints' images"
     mend += ", or [body]" if said else ", or set [body] stature"
     sentence = f"{calibration}: {fact}; its lengths are probably {larger}: {mend}."
     if absurd:
