@@ -45,7 +45,7 @@ class Stride:
     length: float  # m, from heel to heel; on a treadmill it is near 0
     length_sigma: float
     step_length: float  # m, from the other foot's heel to this one's at the end; NaN without its strike
-    step_width: float  # m, of the other foot's heel from the line between this one's
+    step_width: float  # m, from the line between two strikes of this heel to the other heel
     step_width_sigma: float
 
 

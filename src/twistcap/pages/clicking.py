@@ -63,9 +63,7 @@ class Clicking:
     target: Target
     silhouettes: tuple[Silhouette | None, ...] = ()  # of the first frame, one per camera; none: nothing to hold against
     clicks: Clicks = field(default_factory=lambda: dict[str, dict[str, tuple[float, float]]]())
-    fitted: Clicks = field(
-        default_factory=lambda: dict[str, dict[str, tuple[float, float]]]()
-    )  # the last that could be
+    fitted: Clicks = field(default_factory=lambda: dict[str, dict[str, tuple[float, float]]]())  # that gave `shown`
     shown: Posed | None = None  # body and pose at present; None before the first fit
     proportions: Proportions = field(default_factory=lambda: Proportions({}, {}))
     last: tuple[Keypoints, FirstPose] | None = None  # clicks and what was fitted to them; sliders may have moved it

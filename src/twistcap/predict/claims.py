@@ -43,8 +43,7 @@ def claimed(posterior: Float, images: Float, fit: Fit, trust: float = 1.0) -> Fl
     together, posed = np.zeros_like(images), fit.before
     for _, points, rows in fit.entered:
         add_shared_variance(points.bound_to(posed), rows.gradient, rows.weight, posed.projector, together)
-    # Shared errors are in proportion to it: robust energies grow less than squares do, and a bad fit is worse than
-    # they say.
+    # Shared errors grow with it: it is of robust energies, which grow less than squares do where a body fits badly.
     # Gradients enter the posterior times trust / INFLATION²; their variance is taken out, and the true one put in.
     true = factor / INFLATION**2 * (images + (factor * OFFSET) ** 2 * together)
     found = posterior + posterior @ (true - images) @ posterior * (trust / INFLATION**2)
