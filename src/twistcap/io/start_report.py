@@ -82,14 +82,14 @@ def _size_warning(session: Session, size: float, stated: float, far: Sequence[st
     what = "the body of [body] is" if isinstance(session.body, GlbBody) else "[body] stature is"
     if said:
         odd, absurd = (max(ratio, 1 / ratio) > limit for limit in (_ODD, _IMPOSSIBLE))
-        fact = f"by the keypoints the person is {size:.2f} m tall, but {what} {stated:.2f} m"
+        fact = f"by the keypoints the person is {size:.2f} m tall, {what} {stated:.2f} m"
     else:
         odd, absurd = not _PEOPLE[0] < size < _PEOPLE[1], size > _GIANT
         fact = f"by the keypoints the person is {size:.2f} m tall"
     larger = f"{ratio:.2f} times too large" if ratio > 1 else f"{1 / ratio:.2f} times too small"
-    mend = "check its unit, the size of its board's squares and of the keypoints' images"
+    mend = "check its unit, its board's squares, the size of the keypoints' images"
     mend += ", or [body]" if said else ", or set [body] stature"
-    sentence = f"{calibration}: {fact}; its lengths are probably {larger}: {mend}."
+    sentence = f"{calibration} is probably {larger}: {fact}; {mend}."
     if absurd:
         raise InputError(far[0] if far else sentence)
     return [sentence] if odd else []
