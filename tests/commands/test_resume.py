@@ -24,6 +24,7 @@ from twistcap.io.calibration import read_rig
 from twistcap.io.lock import WriteLock
 from twistcap.io.result import ResultWriter, read_result
 from twistcap.io.result_schema import COLUMNS
+from twistcap.report.words import result_in_words
 
 
 @pytest.mark.parametrize("method", ["direct", "differential"])
@@ -203,7 +204,8 @@ def test_killed_run_keeps_its_frames_and_goes_on(made: Path, tmp_path: Path) -> 
     kept = frames_in(tmp_path / "result.h5")
     assert kept >= 1
     assert run("track", made / "session.toml", "--out", tmp_path, "--resume", "--set", "output.overlay=false") == 0
-    assert list(read_result(tmp_path / "result.h5").indices) == list(range(8))
+    whole = read_result(tmp_path / "result.h5")
+    assert list(whole.indices) == list(range(8)) and not whole.unfinished and not whole.within(0, 3).unfinished
 
 
 def frames_in(path: Path) -> int:
@@ -251,6 +253,8 @@ def test_interrupt_keeps_the_result(
     assert run("track", made / "session.toml", "--out", tmp_path) == 130
     assert "the first 3 frames are kept" in " ".join(capsys.readouterr().err.split())
     assert len(read_result(tmp_path / "result.h5")) == 3
+    assert run("export", tmp_path, "--to", "csv") == 0 and "holds 3 of 8 frames" in capsys.readouterr().err
+    assert "the track holds 3 of 8 frames" in result_in_words(read_result(tmp_path / "result.h5"))
 
 
 def test_bad_input_keeps_an_older_result(session: Path, tracked: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -104,7 +104,7 @@ def run_refine(
     from twistcap.io.result import read_result
     from twistcap.report.words import result_in_words
 
-    result = read_result(path)
+    result = terminal.tracked(path)
     config = dataclass_from(RefineConfig, settings or {}, "--set", "refine")
     session = session or _session(result, path)
     chosen = [e for e in result.estimates if span is None or span[0] <= e.index <= span[1]]

@@ -228,6 +228,8 @@ def tracked(path: Path, frames: str | None = None) -> Result:
     if not len(result):
         held = f" in {frames}; it has {whole.indices[0]} to {whole.indices[-1]}, see --frames" if len(whole) else ""
         raise InputError(f"result file {path} has no frame{held}.")
+    if result.unfinished:
+        say(f"{path} {result.unfinished}; `twistcap track` goes on with --resume")
     return result
 
 

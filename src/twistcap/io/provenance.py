@@ -17,6 +17,7 @@ from twistcap.body import Body
 from twistcap.camera import Camera
 from twistcap.errors import InputError
 from twistcap.io.recording import body_of
+from twistcap.io.result import PLANNED
 from twistcap.io.session import Session
 from twistcap.io.sources import ImageSource
 from twistcap.io.video import Source, Views
@@ -60,7 +61,7 @@ def check_same(path: Path, before: Mapping[str, Any], now: Mapping[str, Any], vi
         raise InputError(
             f"{path} was not tracked from a session; track anew with --overwrite, or choose another --out."
         )
-    keys = [key for key in {**before, **now} if before.get(key) != now.get(key)]
+    keys = [key for key in {**before, **now} if key != PLANNED and before.get(key) != now.get(key)]
     differing = [key for key in keys if not (videos_changed and key.startswith("video of "))]
     if differing:
         changes = ", ".join(_difference(key, before.get(key), now.get(key)) for key in differing[:_SHOWN])

@@ -22,7 +22,7 @@ from twistcap.camera import Camera, Rig
 from twistcap.doors.hdf5 import read_hdf5, trust
 from twistcap.doors.schema import flag
 from twistcap.doors.text import parsed_json
-from twistcap.errors import InputError, check, naming
+from twistcap.errors import InputError, naming
 from twistcap.estimate import UNSEEN, Estimate
 from twistcap.io.calibration import check_camera
 from twistcap.io.files import replacing, unwritable, write_at
@@ -40,10 +40,10 @@ from twistcap.io.result_image import (
     state_row,
     value_of,
 )
-from twistcap.io.result_schema import BODY, COLUMNS, HEAD, RIG, STATE, frames_of, of_group
-from twistcap.se3 import is_motion
+from twistcap.io.result_schema import BODY, COLUMNS, HEAD, RIG, STATE, check_frames, frames_of, of_group
 
 _LEAST_ROOM = 64  # frames, where nobody has said how many will come
+PLANNED = "planned frames"  # in `Result.recording`: how many the run had to track
 _WHOLE = ("body", "rig", "config", "versions", "recording")  # of a result, what has no row for each frame
 
 
@@ -93,6 +93,12 @@ class Result:
     def __len__(self) -> int:
         return len(self.times)
 
+    @property
+    def unfinished(self) -> str:
+        """`holds 18 of 60 frames` of a track that was stopped before its end; empty otherwise."""
+        planned = self.recording.get(PLANNED, 0)
+        return f"holds {len(self)} of {planned} frames" if isinstance(planned, int) and planned > len(self) else ""
+
     @cached_property
     def known(self) -> Bool:
         """(N,) whether images support the pose: neither lost nor predicted without them."""
@@ -113,7 +119,8 @@ class Result:
             return tuple(rows[k] for k in n) if isinstance(rows, tuple) else rows[n]
 
         each = [f.name for f in fields(self) if f.name not in _WHOLE]
-        return replace(self, **{name: chosen(getattr(self, name)) for name in each})
+        kept = {key: value for key, value in self.recording.items() if key != PLANNED}  # a part has no end to reach
+        return replace(self, recording=kept, **{name: chosen(getattr(self, name)) for name in each})
 
     @cached_property
     def poses(self) -> tuple[Pose, ...]:
@@ -196,6 +203,8 @@ class ResultWriter:
         self._held = len(result)  # frames in the file; after `resume` some of them are overwritten by the same
         self._count = self._held if frames is None else min(frames, self._held)
         self._own_lock = WriteLock(path) if lock is None else None
+        if result.recording and room:
+            result = replace(result, recording={**result.recording, PLANNED: room})
         try:
             self._rebuild(result, state, self._held and max(self._held, room), result.energies)
         except InputError:
@@ -327,7 +336,7 @@ def _result_of(path: str | Path, held: Mapping[str, Any]) -> Result:
     rows, rig = frames_of(held, source), of_group(held, "rig", {**RIG, **lenses}, source)
     with naming(path):
         body = _body_of(of_group(held, "body", BODY, source))
-        _check_frames(rows, body, len(rig["names"]))
+        check_frames(rows, len(body.coordinate_names), len(body.segment_names), len(rig["names"]))
         columns = {column.of_result: rows[name] for name, column in COLUMNS.items()}
         columns |= {name: tuple(columns[name].tolist()) for name in ("statuses", "predicted")}
         return Result(
@@ -376,20 +385,6 @@ def _camera_of(source: str, held: Mapping[str, Any], i: int) -> Camera:
     camera = Camera(str(held["names"][i]), held["K"][i], held["T_cam_world"][i], size, held["dist"][i], fisheye)
     check_camera(f"{source}, camera {camera.name!r}", camera)
     return camera
-
-
-def _check_frames(rows: Mapping[str, Any], body: Body, cameras: int) -> None:
-    wanted = {"q": len(body.coordinate_names), "part_probability": len(body.segment_names)}
-    for name, columns in (
-        wanted | dict.fromkeys(("left_out", "missing", "bumps", "sources", "brightness"), cameras)
-    ).items():
-        if rows[name].shape[1] != columns:
-            raise InputError(f"frames: {name} has {rows[name].shape[1]} columns, not {columns}; track it again.")
-    if np.any(np.diff(rows["index"]) <= 0) or np.any(np.diff(rows["time"]) <= 0):
-        raise InputError("frames: their numbers or times do not rise; track the recording again.")
-    each = np.sort(rows["sources"], axis=1) == np.arange(cameras)
-    check("frames", np.all(each), "its sources name a camera twice or one that is not there; track the recording again")
-    check("frames", np.all(is_motion(rows["root"])), "a root is no rigid motion; track the recording again")
 
 
 def _table_of(held: Mapping[str, Any], name: str, source: str) -> dict[str, Any]:

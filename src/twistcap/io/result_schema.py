@@ -11,7 +11,9 @@ from h5py import string_dtype
 
 from twistcap.arrays import AnyArray
 from twistcap.doors.schema import Entry, Schema, checked, flag, real, whole, word
+from twistcap.errors import InputError, check
 from twistcap.registry import NAME_BYTES
+from twistcap.se3 import is_motion
 
 _ANY = {"least": -1e300, "most": 1e300, "gaps": True}  # information and its inverse have no bounds
 _SHARE = {"least": 0.0, "most": 1.0}
@@ -99,6 +101,21 @@ def frames_of(held: Mapping[str, AnyArray], source: str) -> dict[str, Any]:
     schema = {name: column.rows for name, column in COLUMNS.items()}
     schema |= {name.removeprefix("frames/"): real("N", **_ANY) for name in energies}
     return of_group(cut, "frames", schema, source)
+
+
+def check_frames(rows: Mapping[str, AnyArray], coordinates: int, segments: int, cameras: int) -> None:
+    """Raises InputError for rows that do not fit the body and the cameras, or that hold what no run writes."""
+    wanted = {"q": coordinates, "part_probability": segments}
+    for name, columns in (
+        wanted | dict.fromkeys(("left_out", "missing", "bumps", "sources", "brightness"), cameras)
+    ).items():
+        if rows[name].shape[1] != columns:
+            raise InputError(f"frames: {name} has {rows[name].shape[1]} columns, not {columns}; track it again.")
+    if np.any(np.diff(rows["index"]) <= 0) or np.any(np.diff(rows["time"]) <= 0):
+        raise InputError("frames: their numbers or times do not rise; track the recording again.")
+    each = np.sort(rows["sources"], axis=1) == np.arange(cameras)
+    check("frames", np.all(each), "its sources name a camera twice or one that is not there; track the recording again")
+    check("frames", np.all(is_motion(rows["root"])), "a root is no rigid motion; track the recording again")
 
 
 def _is_in(name: str, group: str) -> bool:

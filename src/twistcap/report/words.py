@@ -112,8 +112,13 @@ def beside_in_words(body: Body, given: Pose, estimate: Estimate) -> list[str]:
 
 
 def result_in_words(result: Result) -> list[str]:
-    """Sentences about frames that are lost, cameras that were left out, and pictures that showed nothing new."""
-    return [_lost(result), *_unseen(result), *cameras_in_words(result)] if len(result) else []
+    """Sentences about frames that are lost or not tracked yet, cameras that were left out, and pictures that showed
+    nothing new.
+    """
+    if not len(result):
+        return []
+    unfinished = [f"the track {result.unfinished}"] if result.unfinished else []
+    return [_lost(result), *unfinished, *_unseen(result), *cameras_in_words(result)]
 
 
 def cameras_in_words(result: Result) -> list[str]:
