@@ -14,7 +14,7 @@ from twistcap.body import Posed
 from twistcap.build import build
 from twistcap.cues.observation import Agreement, Evidence, Fit, Visibility
 from twistcap.predict import claims
-from twistcap.predict.claims import OFFSET, claimed
+from twistcap.predict.claims import MOST, OFFSET, claimed
 from twistcap.predict.inertia import INFLATION
 from twistcap.render import render, visible_contour
 from twistcap.solve import inverse
@@ -140,6 +140,19 @@ def test_a_claim_is_the_variance_of_what_the_gain_makes_of_prediction_and_images
     np.testing.assert_allclose(
         claimed(posterior, information, fit_of(posed, terms), trust), expected, rtol=1e-4, atol=1e-9
     )
+
+
+def test_of_pictures_that_fit_worse_and_worse_no_larger_shared_error_is_claimed() -> None:
+    """Residuals of three times their noise; those of a real recording are as large, and its body is 20 mm off."""
+    posed, terms = contours()
+    terms = [moved(term, np.full(len(term.weight), 3.0 * NOISE_PX)) for term in terms]
+    information, together = information_of(terms, posed), shared_variance(terms, posed)
+    assert (factor := factor_of(terms, posed)) == pytest.approx(9.0, rel=0.05)
+    posterior = np.asarray(np.linalg.inv(np.eye(len(information)) + information / INFLATION**2), np.float64)
+    true = (factor * information + MOST**2 * together) / INFLATION**2
+    expected = posterior + posterior @ (true - information) @ posterior / INFLATION**2
+    found = claimed(posterior, information, fit_of(posed, terms))
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-9)
 
 
 def test_a_point_that_is_pulled_to_a_ray_counts_once_though_it_has_two_rows() -> None:

@@ -22,8 +22,11 @@ from twistcap.terms import Quadratic
 from twistcap.terms.shared import add_shared_variance
 
 OFFSET = 0.005
-"""m, standard deviation of each shared error, where residuals are as large as the noise says. The one factor on what is
-claimed; derived in docs/concepts/covariance.md."""
+"""m, standard deviation of each shared error, where residuals are as large as the noise says; derived in
+docs/concepts/covariance.md."""
+MOST = 0.02
+"""m, the largest: residuals grow without end where pictures are worse than their noise says, and a body that is tracked
+is no farther off."""
 
 
 def claimed(posterior: Float, images: Float, fit: Fit, trust: float = 1.0) -> Float:
@@ -44,8 +47,9 @@ def claimed(posterior: Float, images: Float, fit: Fit, trust: float = 1.0) -> Fl
     for _, points, rows in fit.entered:
         add_shared_variance(points.bound_to(posed), rows.gradient, rows.weight, posed.projector, together)
     # Shared errors grow with it: it is of robust energies, which grow less than squares do where a body fits badly.
+    shared = min(factor**1.5 * OFFSET, MOST)
     # Gradients enter the posterior times trust / INFLATION²; their variance is taken out, and the true one put in.
-    true = factor / INFLATION**2 * (images + (factor * OFFSET) ** 2 * together)
+    true = (factor * images + shared**2 * together) / INFLATION**2
     found = posterior + posterior @ (true - images) @ posterior * (trust / INFLATION**2)
     return 0.5 * (found + found.T)
 
