@@ -147,7 +147,8 @@ def test_of_pictures_that_fit_worse_and_worse_no_larger_shared_error_is_claimed(
     posed, terms = contours()
     terms = [moved(term, np.full(len(term.weight), 3.0 * NOISE_PX)) for term in terms]
     information, together = information_of(terms, posed), shared_variance(terms, posed)
-    assert (factor := factor_of(terms, posed)) == pytest.approx(9.0, rel=0.05)
+    factor = factor_of(terms, posed)
+    assert factor == pytest.approx(9.0, rel=0.05)
     posterior = np.asarray(np.linalg.inv(np.eye(len(information)) + information / INFLATION**2), np.float64)
     true = (factor * information + MOST**2 * together) / INFLATION**2
     expected = posterior + posterior @ (true - information) @ posterior / INFLATION**2
