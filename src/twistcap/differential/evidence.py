@@ -135,7 +135,7 @@ def known(residual: Float) -> Float:
 
 def evidence(
     number: int, model: DifferentialModel, memory: Memory, level: int, picture: Picture, visible: Bool, motion: Float
-) -> Evidence:  # fmt: skip
+) -> Evidence:
     """The remembered points that are `visible` (N,) at the present guess, thinned at coarse levels of the pyramid.
 
     The memory is that of the frame before, the picture that of the present one; `motion` (2, 3) is that of the layer

@@ -169,17 +169,13 @@ def views_of(session: Session, rig: Rig) -> Views:
         clocks, paths = _clocks(session), _videos(session, rig)
         check_names(paths, rig)
         _check_apart(paths)
-    return open_views(
-        paths, rig, first, last, session.step, session.scale, session.fps, session.time_offset, clocks
-    )  # fmt: skip
+    return open_views(paths, rig, first, last, session.step, session.scale, session.fps, session.time_offset, clocks)
 
 
 def timeline_of(session: Session, rig: Rig) -> Timeline:
     """When each image of each camera was taken."""
     paths, clocks = _videos(session, rig), _clocks(session)
-    return Timeline(
-        tuple(image_times(open_source(paths[n]), clocks.get(n, Clock()), session.fps) for n in rig.names)
-    )  # fmt: skip
+    return Timeline(tuple(image_times(open_source(paths[n]), clocks.get(n, Clock()), session.fps) for n in rig.names))
 
 
 def _videos(session: Session, rig: Rig) -> dict[str, str]:
@@ -335,9 +331,7 @@ def _with_girths(session: Session, rig: Rig, start: _Start) -> _Start:
     return replace(start, body=fitted.body)
 
 
-def keypoints_of(
-    table: KeypointSet, rig: Rig, views: Views | None = None, first: bool = True
-) -> Sequence[Keypoints]:  # fmt: skip
+def keypoints_of(table: KeypointSet, rig: Rig, views: Views | None = None, first: bool = True) -> Sequence[Keypoints]:
     """The keypoints of every instant of a set.
 
     With the frames of a recording, `table.frames` count the images of the camera whose images are its frames; the

@@ -38,7 +38,7 @@ from twistcap.io.session_tables import (
     Output,
     PriorTable,
     Table,
-)  # fmt: skip
+)
 
 if TYPE_CHECKING:
     from twistcap.motion import MotionLibrary

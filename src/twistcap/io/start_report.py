@@ -95,9 +95,7 @@ def _size_warning(session: Session, size: float, stated: float, far: Sequence[st
     return [sentence] if odd else []
 
 
-def _residual_warnings(
-    session: Session, body: Body, rig: Rig, keypoints: Keypoints, fit: FirstPose
-) -> list[str]:  # fmt: skip
+def _residual_warnings(session: Session, body: Body, rig: Rig, keypoints: Keypoints, fit: FirstPose) -> list[str]:
     """Keypoints that are far from the body: of one camera, of all that contradict each other, or of a body that cannot
     take their pose."""
     seen = evidence(body, rig, keypoints)
