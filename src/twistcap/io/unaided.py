@@ -36,11 +36,9 @@ _ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
 def found_unaided(session: Session, body: Body, views: Views, floor: float | None) -> Proof:
-    """The first pose of the frames, from their images alone.
-
-    Raises:
-        InputError: for a camera alone, where the pose is not clear enough to be believed, a plate cannot be read, or
-            the pixels of ``[first_pose] at`` are none of one person.
+    """The first pose of the frames, from their images alone. Raises InputError for a camera alone, where the pose is
+    not clear enough to be believed, a plate cannot be read, or the pixels of ``[first_pose] at`` are none of one
+    person.
     """
     check_views(views.rig)
     middle = middle_of_sight(views.image_rig)
