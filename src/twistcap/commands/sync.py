@@ -223,7 +223,7 @@ def _one_pass(session: Any, clocks: dict[str, Clock], count: int) -> _Pass:
     from twistcap.commands.track import session_tracker
     from twistcap.hindsight import Hindsight
     from twistcap.io.recording import open_recording
-    from twistcap.io.session import ClockTable
+    from twistcap.io.session_tables import ClockTable
 
     tables = {name: ClockTable(offset=c.offset, rate=c.rate, fps=c.fps) for name, c in clocks.items()}
     session = session.model_copy(update={"clocks": tables})

@@ -40,7 +40,8 @@ from twistcap.io.masks import read_masks, rectified_masks
 from twistcap.io.people import check_arrangement, same_person
 from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
-from twistcap.io.session import CameraGrid, DetectorTable, GlbBody, HumanoidBody, KeypointSet, Session
+from twistcap.io.session import Session
+from twistcap.io.session_tables import CameraGrid, DetectorTable, GlbBody, HumanoidBody, KeypointSet
 from twistcap.io.start_report import StartReport, start_report
 from twistcap.io.unaided import found_unaided, start_in_words
 from twistcap.io.video import Views, check_names, open_source, open_views

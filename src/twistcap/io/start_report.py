@@ -20,7 +20,8 @@ from twistcap.body.model import unsided
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
-from twistcap.io.session import GlbBody, HumanoidBody, Session
+from twistcap.io.session import Session
+from twistcap.io.session_tables import GlbBody, HumanoidBody
 
 _ODD, _IMPOSSIBLE = 1.15, 1.45  # ratio of the fitted stature to the stated one
 _PEOPLE, _GIANT = (1.3, 2.15), 2.45  # m, where no stature is stated
