@@ -67,16 +67,13 @@ class Recording:
         return self.views.time(self.views.indices[0])
 
 
-def open_recording(session: Session) -> Recording:
-    """Read everything a session names and check that it is possible. Raises InputError: whatever is missing, malformed
-    or impossible, in one sentence.
+def open_recording(session: Session, body: Body | None = None) -> Recording:
+    """Read everything a session names and check that it is possible; a `body` takes the place of ``[body]``. Raises
+    InputError: whatever is missing, malformed or impossible, in one sentence.
     """
     rig = rig_of(session)
     views = views_of(session, rig)
-    return _opened(session, rig, views, body_of(session))
-
-
-def _opened(session: Session, rig: Rig, views: Views, body: Body) -> Recording:
+    body = body_of(session) if body is None else body
     if not session.first_pose.unaided:
         start, pose = _first_pose(session, rig, body, views)
         return Recording(session, rig, views, start.body, pose, report=start.report)
@@ -112,9 +109,7 @@ def open_together(sessions: Sequence[Session]) -> list[Recording]:
             raise InputError(f"session {session.title}: its body has other joints than that of {sessions[0].title}.")
         pose = session.first_pose.model_copy(update={"fit_lengths": False})
         session = session.model_copy(update={"first_pose": pose, "fit_girths": None})
-        rig = rig_of(session)
-        views = views_of(session, rig)
-        out.append(_opened(session, rig, views, first.body))
+        out.append(open_recording(session, first.body))
     return out
 
 
