@@ -38,9 +38,8 @@ def watched_by(tracker: Any) -> Watched | None:
     return next((memory for memory in memories if isinstance(memory, Watched)), None)
 
 
-def suspects(tracker: Any) -> tuple[int, ...]:
+def suspects(watched: Watched | None) -> tuple[int, ...]:
     """Numbers of the cameras that seem to stand elsewhere than they were calibrated."""
-    watched = watched_by(tracker)
     return () if watched is None else tuple(np.flatnonzero(watched.since >= 0).tolist())
 
 
