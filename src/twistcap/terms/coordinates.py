@@ -104,10 +104,6 @@ class OnPose:
     def name(self) -> str:
         return self.term.name
 
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        return (self.poses,)
-
     def energy(self, x: Variables) -> float:
         return self.term.energy(self._posed(x))
 
@@ -127,10 +123,6 @@ class BlockGaussian:
     mean: Float
     sigma: Float
     name: str = "shape"
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        return (self.block,)
 
     def energy(self, x: Variables) -> float:
         return 0.5 * float(np.sum(((x[self.block].values - self.mean) / self.sigma) ** 2))

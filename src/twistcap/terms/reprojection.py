@@ -51,10 +51,6 @@ class ReprojectionTerm:
     clock: str | None = None
     name: str = "keypoints"
 
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        return (self.poses, self.shape, self.camera, *([] if self.clock is None else [self.clock]))
-
     def energy(self, x: Variables) -> float:
         pixels, depth, _ = pinhole(x[self.camera].camera.P, self._posed(x).landmarks[self.marks])
         return float(np.sum(self.weight * geman_mcclure(self._squares(pixels, depth), self.reach)[0]))

@@ -108,7 +108,6 @@ class LengthsTerm:
     wanted: Float
     sigma: Float
     name: str = "lengths"
-    blocks: tuple[str, ...] = ("build",)
 
     def energy(self, x: Variables) -> float:
         return 0.5 * float(np.sum(self._residual(x) ** 2))
