@@ -114,7 +114,7 @@ def silhouettes_of(session: Session, views: Views) -> tuple[Silhouette | None, .
 
 def _outstanding(still: Still, image: AnyArray) -> Bool:
     features = small_features(image, still.camera.size, _COLOURS)
-    return np.asarray(still.standing_out(features, (-2.0, 2.5)) > 0.0, np.bool_)
+    return np.asarray(still.standing_out(features) > 0.0, np.bool_)
 
 
 def start_in_words(proof: Proof, views: Views) -> str:

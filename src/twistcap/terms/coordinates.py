@@ -97,7 +97,6 @@ class OnPose:
 
     term: Term
     body: Body
-    poses: str = "poses"
     frame: int = 0
 
     @property
@@ -109,10 +108,10 @@ class OnPose:
 
     def add_to(self, sums: Sums, x: Variables) -> None:
         q, dof = self.term.linearize(self._posed(x)), self.body.dof
-        sums.add_quadratic([Place(self.poses, dof, self.frame * dof)], q.value, q.gradient, q.hessian)
+        sums.add_quadratic([Place("poses", dof, self.frame * dof)], q.value, q.gradient, q.hessian)
 
     def _posed(self, x: Variables) -> Posed:
-        return Posed(self.body, x[self.poses].poses[self.frame])
+        return Posed(self.body, x["poses"].poses[self.frame])
 
 
 @dataclass(frozen=True)
