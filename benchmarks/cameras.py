@@ -23,7 +23,7 @@ from twistcap.arrays import Float
 from twistcap.build import build
 from twistcap.camera import Camera
 from twistcap.camera.bump import bumped
-from twistcap.commands.clocks import suspects, watching
+from twistcap.commands.clocks import suspects, watched_by, watching
 from twistcap.estimate import Estimate, Frame
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
@@ -70,7 +70,7 @@ def tracked(filmed: Bumped) -> tuple[list[Estimate], list[tuple[int, ...]]]:
     estimates, named = list[Estimate](), list[tuple[int, ...]]()
     for frame in filmed.frames:
         estimates.append(tracker.step(frame))
-        named.append((*estimates[-1].left_out, *suspects(tracker), *estimates[-1].turned))
+        named.append((*estimates[-1].left_out, *suspects(watched_by(tracker)), *estimates[-1].turned))
     return estimates, named
 
 

@@ -51,11 +51,7 @@ class Plugins:
 
     @staticmethod
     def named(names: tuple[str, ...]) -> Plugins:
-        """Made by name.
-
-        Raises:
-            InputError: for a name that nobody has registered.
-        """
+        """Made by name. Raises InputError for a name that nobody has registered."""
         registries = (CUES, PREDICTORS, PRIORS, SEARCHES)
         for name in names:
             if not any(name in registry.names() for registry in registries):
@@ -69,10 +65,8 @@ def build(
     body: Body, rig: Rig, settings: Settings | None = None, prior: ParzenPrior | None = None,
     motions: MotionLibrary | None = None,
 ) -> Model:  # fmt: skip
-    """The model of a body before cameras.
-
-    Raises:
-        InputError: for settings, plug-ins, a prior or a library that do not fit.
+    """The model of a body before cameras. Raises InputError for settings, plug-ins, a prior or a library that do not
+    fit.
     """
     settings = settings or Settings()
     more, contour = Plugins.named(settings.plugins), contour_of(settings)
@@ -94,10 +88,8 @@ def build(
 def of_method(
     body: Body, rig: Rig, settings: Settings, prior: ParzenPrior | None = None, motions: MotionLibrary | None = None
 ) -> Model | DifferentialModel:
-    """The model of the chosen method: brightness alone, or as `build` makes it.
-
-    Raises:
-        InputError: as `build` does; and for a prior or a library that the method cannot use.
+    """The model of the chosen method: brightness alone, or as `build` makes it. Raises InputError as `build` does; and
+    for a prior or a library that the method cannot use.
     """
     if settings.method != "differential":
         return build(body, rig, settings, prior, motions)
@@ -107,11 +99,7 @@ def of_method(
 
 
 def contour_of(settings: Settings) -> ContourCue:
-    """The contour cue of the chosen method.
-
-    Raises:
-        InputError: for the method without contours.
-    """
+    """The contour cue of the chosen method. Raises InputError for the method without contours."""
     if settings.method == "differential":
         raise InputError('tracker: method "differential" has no contours; use build.of_method instead of build.')
     kind = DirectContour if settings.method == "direct" else LevelSetContour
@@ -119,10 +107,8 @@ def contour_of(settings: Settings) -> ContourCue:
 
 
 def predictors_of(settings: Settings, body: Body, rig: Rig, motions: MotionLibrary | None) -> tuple[Predictor, ...]:
-    """Training motion where it is asked for, optic flow, inertia.
-
-    Raises:
-        InputError: for a library that is not asked for, or none where one is.
+    """Training motion where it is asked for, optic flow, inertia. Raises InputError for a library that is not asked
+    for, or none where one is.
     """
     if (settings.predictor == "motion") != (motions is not None):
         raise InputError('tracker: predictor "motion" and a library of motions go together; give both or none.')

@@ -40,11 +40,7 @@ def naming(source: str | PathLike[str]) -> Generator[None]:
 
 
 def check_choice(where: str, value: object, choices: Iterable[object]) -> None:
-    """Check that a value is one of those known.
-
-    Raises:
-        InputError: where it is not, with those that are.
-    """
+    """Check that a value is one of those known. Raises InputError where it is not, with those that are."""
     known = list(choices)
     if value not in known:
         raise InputError(f"{where} is {value!r}; it must be one of {', '.join(map(str, known))}.")

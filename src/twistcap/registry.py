@@ -33,11 +33,7 @@ class Registry:
         return (*self.own, *(point.name for point in entry_points(group=self.group) if point.name not in self.own))
 
     def get(self, name: str) -> Callable[..., Any]:
-        """The maker of a name.
-
-        Raises:
-            InputError: for a name that nobody has registered.
-        """
+        """The maker of a name. Raises InputError for a name that nobody has registered."""
         if name in self.own:
             module, attribute = self.own[name].split(":")
             return getattr(import_module(module), attribute)
@@ -49,10 +45,7 @@ class Registry:
 
 def check_owners(kind: str, owners: Sequence[Any]) -> None:
     """See that each of a model's cues, predictors or searches has a name of its own that a result file can hold, and
-    says what it remembers.
-
-    Raises:
-        InputError: where one does not.
+    says what it remembers. Raises InputError where one does not.
     """
     names = [owner.name for owner in owners]
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -65,10 +58,8 @@ def check_owners(kind: str, owners: Sequence[Any]) -> None:
 
 
 def memory_type(owner: Any) -> Any:
-    """The type of the memory of a cue, predictor or search: what its `start` is annotated to return, or it says.
-
-    Raises:
-        InputError: where it is not annotated.
+    """The type of the memory of a cue, predictor or search: what its `start` is annotated to return, or it says. Raises
+    InputError where it is not annotated.
     """
     if hasattr(owner, "memory_type"):
         return owner.memory_type

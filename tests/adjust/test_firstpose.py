@@ -32,7 +32,7 @@ from twistcap.camera import Camera, Rectifier, Rig, look_at
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
 from twistcap.io.keypoints import LAYOUTS, openpose_files, read_clicks, read_openpose
-from twistcap.io.session import Grid
+from twistcap.io.session_tables import Grid
 from twistcap.region.compare import iou
 from twistcap.render import render, visible_contour
 from twistcap.solve import BlockProblem, PoseTrack, Variables

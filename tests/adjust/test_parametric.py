@@ -72,7 +72,7 @@ def test_rates_are_the_derivatives_of_the_model() -> None:
 def test_lengths_pull_the_parameters_as_their_energy_says() -> None:
     """The term's gradient and value, by finite differences of its energy."""
     model, at = Stout(), np.array([0.3, -0.2, 0.1])
-    rng, count = np.random.default_rng(1), len(parametric._sigmas(0.01))
+    rng, count = np.random.default_rng(1), len(parametric._SIGMAS)
     wanted = parametric._log_lengths(humanoid()) + 0.1 * rng.normal(size=count)
     term = LengthsTerm(model, wanted, rng.uniform(0.01, 0.1, count))
 

@@ -13,7 +13,7 @@ from support.results import estimate, two_links
 from twistcap.errors import InputError
 from twistcap.io.exports import FORMATS, ExportOptions, export, shared
 from twistcap.io.result import Result, ResultWriter, read_result
-from twistcap.io.session import Output
+from twistcap.io.session_tables import Output
 
 TOY = '''
 """The root's places as JSON."""

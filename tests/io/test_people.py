@@ -17,7 +17,7 @@ from twistcap.errors import InputError
 from twistcap.io.keypoints import LAYOUTS, read_openpose, read_people
 from twistcap.io.people import check_arrangement, same_person
 from twistcap.io.recording import keypoints_of
-from twistcap.io.session import KeypointSet
+from twistcap.io.session_tables import KeypointSet
 
 BODY = humanoid("full")
 

@@ -30,8 +30,7 @@ def track(count: int = 4, seed: int = 0) -> PoseTrack:
 
 BLOCKS: dict[str, Any] = {
     "poses": track(),
-    "camera": CameraBlock(camera_at((2.8, 0.7, 0.4)), focal=True),
-    "place": CameraBlock(camera_at((-1.0, 2.0, 0.5))),
+    "camera": CameraBlock(camera_at((2.8, 0.7, 0.4))),
     "clock": Vector(np.array([0.02])),
 }
 

@@ -1,26 +1,14 @@
-"""What tests need of blocks and systems: the step between two values, a fixed shape, an arrow as one matrix."""
+"""What tests need of blocks and systems: the step between two values, an arrow as one matrix."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from twistcap import se3
 from twistcap.arrays import Float
-from twistcap.body import Body, Posed
 from twistcap.solve import Arrow, CameraBlock, PoseTrack, Variables, Vector
-
-
-@dataclass(frozen=True)
-class FixedShape:
-    """A body of known shape."""
-
-    body: Body
-
-    def rates(self, posed: Posed) -> Float:
-        return np.zeros((*posed.landmarks.shape, 0))
 
 
 def step_between(after: Any, before: Any) -> Float:
@@ -30,8 +18,7 @@ def step_between(after: Any, before: Any) -> Float:
     if isinstance(after, PoseTrack):
         return np.concatenate([a.minus(b) for a, b in zip(after.poses, before.poses, strict=True)])
     if isinstance(after, CameraBlock):
-        turn = se3.difference_one(after.camera.T_cam_world, before.camera.T_cam_world)
-        return np.append(turn, np.log(after.camera.K[0, 0] / before.camera.K[0, 0]))[: after.dof]
+        return se3.difference_one(after.camera.T_cam_world, before.camera.T_cam_world)
     assert isinstance(after, Variables)
     return np.concatenate([step_between(after[name], before[name]) for name in after.free])
 

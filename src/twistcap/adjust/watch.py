@@ -82,10 +82,9 @@ class Watched:
 class CameraWatch:
     """A cue that brings no evidence: it adds up what each camera's contours say of the camera's clock and place.
 
-    A point that moves at v is v·Δt off in an image that is Δt late. `contour` is the name of the cue of the contours.
+    A point that moves at v is v·Δt off in an image that is Δt late.
     """
 
-    contour: str = "contour"
     name: str = field(default="camera watch", init=False)
 
     def start(self, body: Body, rig: Rig) -> Watched:
@@ -123,7 +122,7 @@ class CameraWatch:
         inverse = np.linalg.inv(hessian)
         rest = inverse @ (fit.quadratic.gradient + hessian @ fit.pose.minus(fit.before.pose))
         by_pose = np.c_[np.eye(len(step))[:, :6], step]  # the world moves as the body does; to be late is to go on
-        for sight, evidence in fit.of(self.contour):
+        for sight, evidence in fit.of("contour"):
             quadratic = evidence.term.linearize(fit.posed)
             cross = quadratic.hessian @ by_pose
             yield sight, by_pose.T @ cross - cross.T @ inverse @ cross, by_pose.T @ quadratic.gradient - cross.T @ rest

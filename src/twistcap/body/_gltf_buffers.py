@@ -38,10 +38,8 @@ class Buffers:
         self._data: dict[int, bytes] = {}
 
     def accessor(self, number: int, where: str) -> Float:
-        """(N, width) values of an accessor; normalised integers are scaled to [0, 1] or [-1, 1].
-
-        Raises:
-            InputError: for an accessor that is missing, sparse, exceeds its buffer, or has values that are not finite.
+        """(N, width) values of an accessor; normalised integers are scaled to [0, 1] or [-1, 1]. Raises InputError for
+        an accessor that is missing, sparse, exceeds its buffer, or has values that are not finite.
         """
         try:
             entry = dict(enumerate(self.gltf.accessors))[number]  # no negative numbers here

@@ -136,9 +136,7 @@ class _Windows:
         return (values - np.sum(values * self.counts, axis=1, keepdims=True) / count) * self.counts
 
 
-def _windows(
-    grey: UInt8, board: Board, H: Float, ids: Int, corners: Float, start: Float, width: float
-) -> _Windows:  # fmt: skip
+def _windows(grey: UInt8, board: Board, H: Float, ids: Int, corners: Float, start: Float, width: float) -> _Windows:
     plane = board.points[ids, :2]
     side = board.square * np.sqrt(np.abs(np.linalg.det(_slopes(H, plane))))  # (N,) px
     reach = int(np.ceil(min(float(_MOST), np.sqrt(2.0) * _REACH * float(side.max()))))
@@ -185,7 +183,7 @@ def _drawn(board: Board, H: Float, origin: Float, size: AnyArray, width: float) 
     shifted[:2, 2] = -origin
     shown = cv2.warpPerspective(
         board.image(_FINE), finer @ shifted @ H @ to_plane, tuple(parts * size), borderValue=128.0
-    )  # fmt: skip
+    )
     picture = cv2.resize(shown.astype(np.float64), tuple(size), interpolation=cv2.INTER_AREA)
     sigma = np.sqrt(max(width * width / (2.0 * np.pi) - 1.0 / 3.0, 0.1))  # slopes over two pixels make edges wider
     picture = cv2.GaussianBlur(picture, (0, 0), sigma)

@@ -53,7 +53,6 @@ class _Pulls:
 
     def add_rows(self, energy: float, slopes: list[Slope], weight: Float, residual: Float) -> None:
         """The pull of the rows of one picture."""
-        del energy
         gradient, touched = np.zeros(self.x.dof), set[int]()
         for slope in slopes:
             if slope.block in self.x.slices:

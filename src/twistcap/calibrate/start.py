@@ -78,10 +78,9 @@ def _placed(numbers: Float, s: Sighting, xy: Float, solid: Solid) -> list[Float]
         points, image = (points[right], image[right]) if right.sum() >= 4 else (points, image)
     flag = cv2.SOLVEPNP_IPPE if flat else cv2.SOLVEPNP_SQPNP
     try:
-        count, turns, shifts, _ = cv2.solvePnPGeneric(points, image, np.eye(3), np.zeros(4), flags=flag)
+        _, turns, shifts, _ = cv2.solvePnPGeneric(points, image, np.eye(3), np.zeros(4), flags=flag)
     except cv2.error:
         return []
-    del count
     pairs = zip(turns, shifts, strict=True)
     out = [se3.transform(np.asarray(cv2.Rodrigues(r)[0], float), np.ravel(t).astype(float)) for r, t in pairs]
     return [T for T in out if np.all(np.isfinite(T)) and np.all(se3.apply(T, points)[:, 2] > 0.0)]

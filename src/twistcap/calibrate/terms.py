@@ -94,10 +94,6 @@ class SightingTerm:
     motion: Float | None = None
     name: str = "sightings"
 
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        return (self.poses, self.shape, self.camera, self.numbers, *([] if self.clock is None else [self.clock]))
-
     def energy(self, x: Variables) -> float:
         return float(np.sum(self._loss(self._offsets(x))[0]))
 
@@ -163,10 +159,6 @@ class KnownLens:
     lens: Lens
     block: str
     name: str = "lens"
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        return (self.block,)
 
     def energy(self, x: Variables) -> float:
         residual = self._rows(x) @ x[self.block].values

@@ -74,7 +74,6 @@ class ScaledView:
 
     def px_per_m(self, nearness: Float) -> float:
         """Image scale at the origin, px/m, whatever the nearness."""
-        del nearness
         return self.scale
 
     @property

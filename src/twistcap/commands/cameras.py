@@ -297,7 +297,7 @@ def _off(result: Any, found: Any, camera: int) -> dict[str, float]:
         "turned_sigma_deg": float(np.rad2deg(np.linalg.norm(sigma[:3]))),
         "moved_mm": 1000.0 * float(np.linalg.norm(now.centre - given.centre)),
         "moved_sigma_mm": 1000.0 * float(np.linalg.norm(sigma[3:])),
-    }  # fmt: skip
+    }
 
 
 def show(document: dict[str, Any]) -> None:

@@ -38,9 +38,8 @@ def watched_by(tracker: Any) -> Watched | None:
     return next((memory for memory in memories if isinstance(memory, Watched)), None)
 
 
-def suspects(tracker: Any) -> tuple[int, ...]:
+def suspects(watched: Watched | None) -> tuple[int, ...]:
     """Numbers of the cameras that seem to stand elsewhere than they were calibrated."""
-    watched = watched_by(tracker)
     return () if watched is None else tuple(np.flatnonzero(watched.since >= 0).tolist())
 
 
@@ -61,9 +60,7 @@ def clocks_in_words(session: Any, views: Any, result: Any, watched: Watched | No
     shown = replace(views, indices=span, moved=False)
     timeline, settings = views.timeline, session.tracker_settings
     own = [replace(e, left_out=e.swapped) for e in chosen]
-    found = estimate_clocks(
-        shown, result.body, views.image_rig, own, shown.lags, timeline.reference, settings
-    )  # fmt: skip
+    found = estimate_clocks(shown, result.body, views.image_rig, own, shown.lags, timeline.reference, settings)
     offsets = [session.clocks[name].offset if name in session.clocks else 0.0 for name in views.rig.names]
     return disagreements(found, views.rig.names, offsets, timeline.intervals[timeline.reference])
 

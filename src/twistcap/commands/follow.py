@@ -11,7 +11,7 @@ import numpy as np
 
 from twistcap.body import Pose
 from twistcap.commands.cameras import ELSEWHERE
-from twistcap.commands.clocks import suspects
+from twistcap.commands.clocks import suspects, watched_by
 from twistcap.commands.terminal import progress, say
 from twistcap.errors import InputError, check
 from twistcap.estimate import Estimate, Frame
@@ -83,11 +83,8 @@ def follow(
 
     `passed` are frames that have been tracked before, `given` is the first pose of those that have not.
     """
-    timing, believed, hindsight = (
-        Timing(given=given),
-        Believed(tracker.model.rig.names),
-        Hindsight(tracker, passed=passed),
-    )
+    timing, hindsight = Timing(given=given), Hindsight(tracker, passed=passed)
+    believed = Believed(tracker.model.rig.names)
     with progress("tracking", total) as advance:
         try:
             for frame in frames:
@@ -103,7 +100,7 @@ def follow(
                     timing.corrected.update(e.index for e in corrected)
                 beside = beside_in_words(tracker.model.body, given, estimate) if given is not None else []
                 given = None
-                for sentence in (*beside, *believed.news(estimate, suspects(tracker))):
+                for sentence in (*beside, *believed.news(estimate, suspects(watched_by(tracker)))):
                     say(sentence)
                 advance(f"{timing.ms[-1]:.0f} ms{'  LOST' if estimate.lost else ''}")
             if len(writer):

@@ -26,7 +26,8 @@ from twistcap.io import tidy
 from twistcap.io.coordinates import coordinates_of
 from twistcap.io.files import write_lines
 from twistcap.io.result import Result, read_result
-from twistcap.io.session import GlbBody, Session
+from twistcap.io.session import Session
+from twistcap.io.session_tables import GlbBody
 from twistcap.io.study import BODY, StudyFile, StudyOutput, Trial
 
 STEPS = ("fit", "track", "refine", "files", "rows")

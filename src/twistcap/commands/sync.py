@@ -223,7 +223,7 @@ def _one_pass(session: Any, clocks: dict[str, Clock], count: int) -> _Pass:
     from twistcap.commands.track import session_tracker
     from twistcap.hindsight import Hindsight
     from twistcap.io.recording import open_recording
-    from twistcap.io.session import ClockTable
+    from twistcap.io.session_tables import ClockTable
 
     tables = {name: ClockTable(offset=c.offset, rate=c.rate, fps=c.fps) for name, c in clocks.items()}
     session = session.model_copy(update={"clocks": tables})
@@ -243,7 +243,7 @@ def _one_pass(session: Any, clocks: dict[str, Clock], count: int) -> _Pass:
         own = [replace(e, left_out=e.swapped) for e in estimates]
         found = estimate_clocks(
             replace(views, moved=False), body, rig, own, views.lags, timeline.reference, settings, report=report
-        )  # fmt: skip
+        )
     frame = timeline.intervals[timeline.reference]
     swapped = any(e.sources for e in estimates)  # then keypoints are not those of their cameras
     keypoints = (

@@ -87,7 +87,7 @@ class Begin:
 def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str, Any]:
     """Track a session into a folder; what ``--json`` prints."""
     from twistcap.commands.cameras import mend_in_words, places_and_clocks
-    from twistcap.commands.clocks import clocks_in_words
+    from twistcap.commands.clocks import clocks_in_words, suspects
     from twistcap.io.exports import check_installed
     from twistcap.io.lock import WriteLock
     from twistcap.io.result import read_result
@@ -102,8 +102,7 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
         result = read_result(path)
         with words.status("comparing the cameras' clocks"):
             apart = clocks_in_words(session, views, result, watched)
-        elsewhere = () if watched is None else np.flatnonzero(watched.since >= 0).tolist()
-        wrong = places_and_clocks(mend_in_words(result, path, elsewhere), apart)
+        wrong = places_and_clocks(mend_in_words(result, path, suspects(watched)), apart)
         given = timing.given if len(result) else None
         beside = [] if given is None else beside_in_words(result.body, given, result.estimates[0])
         statements = [*result_in_words(result), *beside, *wrong]

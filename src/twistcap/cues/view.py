@@ -131,10 +131,8 @@ def view_window(camera: Camera, posed: Posed, margin_m: float) -> tuple[tuple[in
 
 
 def crop_view(image: AnyArray, camera: Camera, posed: Posed, margin_m: float, channels: Channels) -> View | None:
-    """The view of a posed body with `margin_m` metres about it; None where the body is not in the image.
-
-    Raises:
-        InputError: for a value that is not finite.
+    """The view of a posed body with `margin_m` metres about it; None where the body is not in the image. Raises
+    InputError for a value that is not finite.
     """
     window = view_window(camera, posed, margin_m)
     if window is None:

@@ -54,10 +54,6 @@ class Evidence:
     name: str = "brightness"
 
     @property
-    def blocks(self) -> tuple[str, ...]:
-        return (view_block(self.number), JOINTS, exposure_block(self.number))
-
-    @property
     def part(self) -> Int:
         """(N,) segments."""
         return self.samples[0].points.part
@@ -93,9 +89,13 @@ class Evidence:
             own = slice(n if c == 0 else n - EXPOSURE)
             g[own] += more_g[own]
             H[own, own] += more_H[own, own]
-        per, sizes = np.ones(n), (ROOT, n - ROOT - EXPOSURE, EXPOSURE)
+        per = np.ones(n)
         per[1:3] = self.factor  # shifts are px of the finest level
-        places = [Place(block, size) for block, size in zip(self.blocks, sizes, strict=True)]
+        places = [
+            Place(view_block(self.number), ROOT),
+            Place(JOINTS, n - ROOT - EXPOSURE),
+            Place(exposure_block(self.number), EXPOSURE),
+        ]
         sums.add_quadratic(places, self.energy(x), per * g, per[:, None] * H * per)
 
     def expected(self, x: Variables, model: DifferentialModel) -> Evidence:
@@ -135,7 +135,7 @@ def known(residual: Float) -> Float:
 
 def evidence(
     number: int, model: DifferentialModel, memory: Memory, level: int, picture: Picture, visible: Bool, motion: Float
-) -> Evidence:  # fmt: skip
+) -> Evidence:
     """The remembered points that are `visible` (N,) at the present guess, thinned at coarse levels of the pyramid.
 
     The memory is that of the frame before, the picture that of the present one; `motion` (2, 3) is that of the layer

@@ -90,7 +90,7 @@ def _scale_of(size: Float, weight: Float) -> float:
 
 def posterior(
     residual: Float, behind: Float, prior: Float, sigma: Float, sigma_behind: Float, near: Neighbourhood
-) -> Float:  # fmt: skip
+) -> Float:
     """(N,) probability that each pixel moves as the body does.
 
     Channels see much the same, so that their mean evidence counts as that of one; neighbours share theirs. Of

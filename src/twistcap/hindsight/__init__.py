@@ -79,10 +79,8 @@ def tracked(
 ) -> Iterator[Estimate]:  # fmt: skip
     """Track a body through a recording, one estimate for each frame; with cues and priors beside the model's.
 
-    An estimate comes when nothing can correct it any more, some frames late. `Tracker` gives them at once.
-
-    Raises:
-        InputError: for cues or priors beside a model that has none, the differential one.
+    An estimate comes when nothing can correct it any more, some frames late. `Tracker` gives them at once. Raises
+    InputError for cues or priors beside a model that has none, the differential one.
     """
     if cues or priors:
         if isinstance(model, DifferentialModel):

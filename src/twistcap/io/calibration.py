@@ -151,10 +151,8 @@ def _rotation(where: str, R: Float) -> Float:
 
 
 def check_camera(where: str, camera: Camera) -> None:
-    """Check that a camera can be true; `where` it is from begins the message.
-
-    Raises:
-        InputError: for a matrix, lens, place or size that no camera has.
+    """Check that a camera can be true; `where` it is from begins the message. Raises InputError for a matrix, lens,
+    place or size that no camera has.
     """
     K, size = camera.K, np.array(camera.size, float)
     numbers = np.concatenate([K.ravel(), camera.dist, camera.T_cam_world.ravel()])

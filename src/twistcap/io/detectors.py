@@ -51,7 +51,7 @@ def check_detector(name: str, people: str | None) -> None:
 
 def detected(
     name: str, images: Sequence[UInt8 | None], rig: Rig, people: str | None = None, first: bool = True
-) -> Keypoints:  # fmt: skip
+) -> Keypoints:
     """What a detector finds in one image of each camera; None is a camera without one, for model files alone.
 
     `name` is a model file, as in `io.model_file`, or an installed detector; `people` a model file that finds people.

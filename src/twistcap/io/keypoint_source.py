@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from twistcap.estimate import Keypoints
 from twistcap.io.keypoints import NoKeypoints
 from twistcap.io.recording import detections_of, keypoints_of
-from twistcap.io.session import DetectorTable, KeypointSet
+from twistcap.io.session_tables import DetectorTable, KeypointSet
 from twistcap.io.video import Views
 
 

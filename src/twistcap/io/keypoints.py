@@ -19,7 +19,7 @@ from twistcap.arrays import Float
 from twistcap.doors.text import finite_number, number_array, read_json_table, read_text
 from twistcap.errors import InputError, check
 from twistcap.estimate import Keypoints
-from twistcap.io.session import Grid
+from twistcap.io.session_tables import Grid
 
 _FEET = ("toe_l", "small_toe_l", "heel_l", "toe_r", "small_toe_r", "heel_r")
 _COCO = (

@@ -27,7 +27,7 @@ from twistcap.doors.strict import validated
 from twistcap.doors.text import read_toml
 from twistcap.errors import InputError, naming
 from twistcap.io.calibration import read_rig
-from twistcap.io.session import Table
+from twistcap.io.session_tables import Table
 
 
 def _named(path: Path) -> Path:

@@ -32,7 +32,6 @@ _STEPS = {
 
 
 def _dtype(code: object, *rest: object) -> np.dtype[Any]:
-    del rest
     if not isinstance(code, str) or not _CODE.match(code):
         raise pickle.UnpicklingError(f"it holds an array of {code!r}")
     return np.dtype(code)

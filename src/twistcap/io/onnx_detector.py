@@ -181,7 +181,7 @@ def _letter(network: Network, image: UInt8) -> tuple[AnyArray, float]:
 
 def detected_by_model(
     detector: OnnxDetector, images: Sequence[UInt8 | None], rig: Rig, first: bool = True
-) -> Keypoints:  # fmt: skip
+) -> Keypoints:
     """The keypoints of the person on whom the views agree, in images as recorded; None is a camera without one.
 
     Raises NoKeypoints where nobody is seen by two cameras, and for the `first` pose InputError as `check_arrangement`.

@@ -72,4 +72,4 @@ class Playback:
 def playback(result: Result) -> Playback:
     """The motion of a result of one frame or more."""
     start = float(result.times[0])
-    return Playback(start, result.times - start, tuple(result.poses), result.known)
+    return Playback(start, result.times - start, result.poses, result.known)

@@ -40,7 +40,8 @@ from twistcap.io.masks import read_masks, rectified_masks
 from twistcap.io.people import check_arrangement, same_person
 from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
-from twistcap.io.session import CameraGrid, DetectorTable, GlbBody, HumanoidBody, KeypointSet, Session
+from twistcap.io.session import Session
+from twistcap.io.session_tables import CameraGrid, DetectorTable, GlbBody, HumanoidBody, KeypointSet
 from twistcap.io.start_report import StartReport, start_report
 from twistcap.io.unaided import found_unaided, start_in_words
 from twistcap.io.video import Views, check_names, open_source, open_views
@@ -66,16 +67,13 @@ class Recording:
         return self.views.time(self.views.indices[0])
 
 
-def open_recording(session: Session) -> Recording:
-    """Read everything a session names and check that it is possible. Raises InputError: whatever is missing, malformed
-    or impossible, in one sentence.
+def open_recording(session: Session, body: Body | None = None) -> Recording:
+    """Read everything a session names and check that it is possible; a `body` takes the place of ``[body]``. Raises
+    InputError: whatever is missing, malformed or impossible, in one sentence.
     """
     rig = rig_of(session)
     views = views_of(session, rig)
-    return _opened(session, rig, views, body_of(session))
-
-
-def _opened(session: Session, rig: Rig, views: Views, body: Body) -> Recording:
+    body = body_of(session) if body is None else body
     if not session.first_pose.unaided:
         start, pose = _first_pose(session, rig, body, views)
         return Recording(session, rig, views, start.body, pose, report=start.report)
@@ -111,9 +109,7 @@ def open_together(sessions: Sequence[Session]) -> list[Recording]:
             raise InputError(f"session {session.title}: its body has other joints than that of {sessions[0].title}.")
         pose = session.first_pose.model_copy(update={"fit_lengths": False})
         session = session.model_copy(update={"first_pose": pose, "fit_girths": None})
-        rig = rig_of(session)
-        views = views_of(session, rig)
-        out.append(_opened(session, rig, views, first.body))
+        out.append(open_recording(session, first.body))
     return out
 
 
@@ -169,17 +165,13 @@ def views_of(session: Session, rig: Rig) -> Views:
         clocks, paths = _clocks(session), _videos(session, rig)
         check_names(paths, rig)
         _check_apart(paths)
-    return open_views(
-        paths, rig, first, last, session.step, session.scale, session.fps, session.time_offset, clocks
-    )  # fmt: skip
+    return open_views(paths, rig, first, last, session.step, session.scale, session.fps, session.time_offset, clocks)
 
 
 def timeline_of(session: Session, rig: Rig) -> Timeline:
     """When each image of each camera was taken."""
     paths, clocks = _videos(session, rig), _clocks(session)
-    return Timeline(
-        tuple(image_times(open_source(paths[n]), clocks.get(n, Clock()), session.fps) for n in rig.names)
-    )  # fmt: skip
+    return Timeline(tuple(image_times(open_source(paths[n]), clocks.get(n, Clock()), session.fps) for n in rig.names))
 
 
 def _videos(session: Session, rig: Rig) -> dict[str, str]:
@@ -335,9 +327,7 @@ def _with_girths(session: Session, rig: Rig, start: _Start) -> _Start:
     return replace(start, body=fitted.body)
 
 
-def keypoints_of(
-    table: KeypointSet, rig: Rig, views: Views | None = None, first: bool = True
-) -> Sequence[Keypoints]:  # fmt: skip
+def keypoints_of(table: KeypointSet, rig: Rig, views: Views | None = None, first: bool = True) -> Sequence[Keypoints]:
     """The keypoints of every instant of a set.
 
     With the frames of a recording, `table.frames` count the images of the camera whose images are its frames; the

@@ -22,7 +22,6 @@ from twistcap.errors import InputError, check
 from twistcap.io.session_tables import (
     FIRST_POSE,
     SOURCES,
-    CameraGrid,
     Cameras,
     ClockTable,
     DataPath,
@@ -30,7 +29,6 @@ from twistcap.io.session_tables import (
     FirstPoseTable,
     FitGirths,
     GlbBody,
-    Grid,
     HumanoidBody,
     KeypointSet,
     MotionsTable,
@@ -38,19 +36,12 @@ from twistcap.io.session_tables import (
     Output,
     PriorTable,
     Table,
-)  # fmt: skip
+)
 
 if TYPE_CHECKING:
     from twistcap.motion import MotionLibrary
     from twistcap.priors import ParzenPrior
     from twistcap.settings import Settings
-
-__all__ = [
-    "FIRST_POSE", "CameraGrid", "Cameras", "ClockTable", "DetectorTable", "FirstPoseTable", "FitGirths", "GlbBody",
-    "Grid", "HumanoidBody", "KeypointSet", "MotionsTable", "ObjBody", "Output", "PriorTable", "Session", "Table",
-    "load_session", "tracker_settings",
-]  # fmt: skip
-
 
 _NAMED = 3  # keys of the command line, at most, that a message names
 

@@ -20,7 +20,8 @@ from twistcap.body.model import unsided
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
-from twistcap.io.session import GlbBody, HumanoidBody, Session
+from twistcap.io.session import Session
+from twistcap.io.session_tables import GlbBody, HumanoidBody
 
 _ODD, _IMPOSSIBLE = 1.15, 1.45  # ratio of the fitted stature to the stated one
 _PEOPLE, _GIANT = (1.3, 2.15), 2.45  # m, where no stature is stated
@@ -95,9 +96,7 @@ def _size_warning(session: Session, size: float, stated: float, far: Sequence[st
     return [sentence] if odd else []
 
 
-def _residual_warnings(
-    session: Session, body: Body, rig: Rig, keypoints: Keypoints, fit: FirstPose
-) -> list[str]:  # fmt: skip
+def _residual_warnings(session: Session, body: Body, rig: Rig, keypoints: Keypoints, fit: FirstPose) -> list[str]:
     """Keypoints that are far from the body: of one camera, of all that contradict each other, or of a body that cannot
     take their pose."""
     seen = evidence(body, rig, keypoints)

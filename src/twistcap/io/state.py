@@ -46,10 +46,8 @@ def to_bytes(state: Any, corrected: Sequence[Estimate] = ()) -> UInt8:
 
 
 def from_bytes(data: UInt8, model: Model | DifferentialModel) -> tuple[Any, tuple[Estimate, ...]]:
-    """The state of a model, and the estimates that it corrects, which `to_bytes` wrote.
-
-    Raises:
-        InputError: for bytes that are damaged, or of a model with other cues, predictors or searches.
+    """The state of a model, and the estimates that it corrects, which `to_bytes` wrote. Raises InputError for bytes
+    that are damaged, or of a model with other cues, predictors or searches.
     """
     try:
         file = npz_arrays(data.tobytes(), "the stored state of the track")

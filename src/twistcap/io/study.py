@@ -16,7 +16,8 @@ from twistcap.doors.strict import validated
 from twistcap.doors.text import read_lines, read_toml, toml_value
 from twistcap.errors import InputError, check
 from twistcap.io.provenance import flat
-from twistcap.io.session import DataPath, Output, Session, Table, load_session
+from twistcap.io.session import Session, load_session
+from twistcap.io.session_tables import DataPath, Output, Table
 
 BODY = "body"
 """The folder of a subject in which its fitted body lies."""

@@ -36,11 +36,9 @@ _ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
 def found_unaided(session: Session, body: Body, views: Views, floor: float | None) -> Proof:
-    """The first pose of the frames, from their images alone.
-
-    Raises:
-        InputError: for a camera alone, where the pose is not clear enough to be believed, a plate cannot be read, or
-            the pixels of ``[first_pose] at`` are none of one person.
+    """The first pose of the frames, from their images alone. Raises InputError for a camera alone, where the pose is
+    not clear enough to be believed, a plate cannot be read, or the pixels of ``[first_pose] at`` are none of one
+    person.
     """
     check_views(views.rig)
     middle = middle_of_sight(views.image_rig)
@@ -116,7 +114,7 @@ def silhouettes_of(session: Session, views: Views) -> tuple[Silhouette | None, .
 
 def _outstanding(still: Still, image: AnyArray) -> Bool:
     features = small_features(image, still.camera.size, _COLOURS)
-    return np.asarray(still.standing_out(features, (-2.0, 2.5)) > 0.0, np.bool_)
+    return np.asarray(still.standing_out(features) > 0.0, np.bool_)
 
 
 def start_in_words(proof: Proof, views: Views) -> str:

@@ -79,9 +79,7 @@ def _summed(bounds: Float32, halo: int, step: float, out: Float32) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _below(
-    squares: Float32, jumps: Float32, start: int, first: int, j: int, step: float, limit: float
-) -> bool:  # fmt: skip
+def _below(squares: Float32, jumps: Float32, start: int, first: int, j: int, step: float, limit: float) -> bool:
     """Whether pose j of a scaled clip may match better than the limit (bound 2); column 0 is its pose `first`."""
     total = 0.0
     for v in range(len(squares)):
@@ -171,7 +169,7 @@ def _stretch(
 @njit(cache=True, nogil=True)
 def search(
     clips: ClipArrays, query: Float, steps: Float, ahead: float, excluded: tuple[Int, Float], limit: float
-) -> tuple[float, int, int, int]:  # fmt: skip
+) -> tuple[float, int, int, int]:
     """The least sum of norms below a limit, its clip, scale and pose j of the scaled clip; clip −1 if there is none.
 
     The query (m, K) is weighted, the latest first, with `steps` (S,) poses per frame of it, 1/s; `ahead` frames a clip
@@ -205,7 +203,7 @@ def score_reference(base: Float32, query: Float, start: int, j: int, step: float
 
 def search_reference(
     clips: ClipArrays, query: Float, steps: Float, ahead: float, excluded: tuple[Int, Float], limit: float
-) -> tuple[float, int, int, int]:  # fmt: skip
+) -> tuple[float, int, int, int]:
     """Readable twin of `search`."""
     (base, _, starts), found = clips, (limit, -1, -1, -1)
     for clip, (start, end) in enumerate(pairwise(starts)):

@@ -305,9 +305,7 @@ def misplaced(clip: np.ndarray, query: Float, position: float, step: float) -> f
 
 
 @njit(cache=True, nogil=True)
-def placed(
-    clip: np.ndarray, query: Float, position: float, step: float, any_pace: bool = True
-) -> tuple[float, float]:  # fmt: skip
+def placed(clip: np.ndarray, query: Float, position: float, step: float, any_pace: bool = True) -> tuple[float, float]:
     """Position and, with `any_pace`, step near the given ones that fit a query (m, K) best, by ever finer grids."""
     reach, pace = _REACH, max(_PACE, _SPACING * step * step) if any_pace else 0.0
     best = misplaced(clip, query, position, step)

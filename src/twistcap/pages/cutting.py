@@ -79,7 +79,6 @@ class Cutting:
         """Write the masks of all views that were drawn on. Raises InputError where none was, or a file cannot be
         written.
         """
-        del question
         with self._lock:
             masks = dict(self.masks)
             if not masks:

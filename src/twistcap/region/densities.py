@@ -107,7 +107,7 @@ def _block_sums(channels: Float32, inside: Float32, outside: Float32, block: int
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp"})
 def _ratios_of_blocks(
     channels: Float32, window: Float32, prior: Float32, wanted: Bool, block: int, floor: float
-) -> Float32:  # fmt: skip
+) -> Float32:
     """(H, W) each pixel under the two Gaussians of its block's window (h, w, 2, 1 + 2 C) and the prior sums."""
     height, width, C = channels.shape
     out = np.zeros((height, width), dtype=np.float32)

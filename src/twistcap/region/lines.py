@@ -93,9 +93,7 @@ def _weighed(lines: Lines, posterior: tuple[Float, Float, Float], settings: Line
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, inline="always")
-def _bilinear(
-    flat: Float32, at: int, row: int, channels: int, fx: np.float32, fy: np.float32, out: Float32
-) -> None:  # fmt: skip
+def _bilinear(flat: Float32, at: int, row: int, channels: int, fx: np.float32, fy: np.float32, out: Float32) -> None:
     """Value at (fx, fy) from the pixel whose first channel is at index `at`; a row has `row` numbers."""
     for c in range(channels):
         a, b = flat[at + c], flat[at + row + c]

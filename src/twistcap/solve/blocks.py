@@ -98,21 +98,17 @@ class PoseTrack:
 
 @dataclass(frozen=True)
 class CameraBlock:
-    """A pinhole camera. The step is the left twist of `T_cam_world` (ω rad, v m; in its axes), then log f."""
+    """A pinhole camera. The step is the left twist of `T_cam_world` (ω rad, v m; in its axes)."""
 
     camera: Camera
-    focal: bool = False
 
     @property
     def dof(self) -> int:
-        return 7 if self.focal else 6
+        return 6
 
     def retract(self, step: Float) -> CameraBlock:
-        K = self.camera.K.copy()
-        if self.focal:
-            K[:2, :2] *= np.exp(step[6])
-        T = se3.compose_one(se3.exp_one(step[:6]), self.camera.T_cam_world)
-        return replace(self, camera=replace(self.camera, K=K, T_cam_world=T))
+        T = se3.compose_one(se3.exp_one(step), self.camera.T_cam_world)
+        return CameraBlock(replace(self.camera, T_cam_world=T))
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ _TRUNK: dict[str, tuple[tuple[float, float], ...]] = {
     "lumbar_rotation": ((0, -8), (25, -0.5), (50, 8), (75, 0.5)),
     "neck_extension": ((0, 2), (50, 2)),
     "neck_rotation": ((0, 3), (25, 0), (50, -3), (75, 0)),
-}  # fmt: skip
+}
 
 
 def gait(

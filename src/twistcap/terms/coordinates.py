@@ -97,26 +97,21 @@ class OnPose:
 
     term: Term
     body: Body
-    poses: str = "poses"
     frame: int = 0
 
     @property
     def name(self) -> str:
         return self.term.name
 
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        return (self.poses,)
-
     def energy(self, x: Variables) -> float:
         return self.term.energy(self._posed(x))
 
     def add_to(self, sums: Sums, x: Variables) -> None:
         q, dof = self.term.linearize(self._posed(x)), self.body.dof
-        sums.add_quadratic([Place(self.poses, dof, self.frame * dof)], q.value, q.gradient, q.hessian)
+        sums.add_quadratic([Place("poses", dof, self.frame * dof)], q.value, q.gradient, q.hessian)
 
     def _posed(self, x: Variables) -> Posed:
-        return Posed(self.body, x[self.poses].poses[self.frame])
+        return Posed(self.body, x["poses"].poses[self.frame])
 
 
 @dataclass(frozen=True)
@@ -127,10 +122,6 @@ class BlockGaussian:
     mean: Float
     sigma: Float
     name: str = "shape"
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        return (self.block,)
 
     def energy(self, x: Variables) -> float:
         return 0.5 * float(np.sum(((x[self.block].values - self.mean) / self.sigma) ** 2))

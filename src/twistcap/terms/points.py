@@ -103,9 +103,7 @@ def normal_energy_reference(
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, inline="always")
-def _ray_offset(
-    x: float, y: float, z: float, n: Float, m: Float, scale: float
-) -> tuple[float, float, float, float]:  # fmt: skip
+def _ray_offset(x: float, y: float, z: float, n: Float, m: Float, scale: float) -> tuple[float, float, float, float]:
     """``scale (x × n − m)`` and its length."""
     a = scale * (y * n[2] - z * n[1] - m[0])
     b = scale * (z * n[0] - x * n[2] - m[1])

@@ -89,9 +89,6 @@ class BlockTerm(Protocol):
     @property
     def name(self) -> str: ...
 
-    @property
-    def blocks(self) -> tuple[str, ...]: ...
-
     def energy(self, x: Variables) -> float:
         """Energy at these values."""
         ...

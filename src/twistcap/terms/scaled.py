@@ -75,10 +75,6 @@ class ViewGaussian:
     sigma: Float
     name: str = "view"
 
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        return (self.view,)
-
     def energy(self, x: Variables) -> float:
         return 0.5 * float(np.sum((x[self.view].minus(self.mean) / self.sigma) ** 2))
 

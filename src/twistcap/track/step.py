@@ -38,10 +38,8 @@ def step(state: State, frame: Frame, model: Model) -> tuple[State, Estimate]: ..
 @overload
 def step(state: Track, frame: Frame, model: DifferentialModel) -> tuple[Track, Estimate]: ...
 def step(state: Any, frame: Frame, model: Model | DifferentialModel) -> tuple[Any, Estimate]:
-    """Track one frame. Where its numbers cannot be computed, it has failed: it is lost, as if it had no image.
-
-    Raises:
-        InputError: for an image with a value that is not finite.
+    """Track one frame. Where its numbers cannot be computed, it has failed: it is lost, as if it had no image. Raises
+    InputError for an image with a value that is not finite.
     """
     try:
         return _stepped(state, frame, model)

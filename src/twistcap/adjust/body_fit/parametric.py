@@ -21,11 +21,12 @@ from twistcap.terms import BlockGaussian, Slope, Sums
 
 _STEP = 0.02  # of the difference quotients
 _STEPS, _GAIN = 8, 1e-9  # of Gauss-Newton, to the lengths of another body
-_BREADTH = 0.06  # standard deviation of log-breadths: the joints of two bodies differ most in these
 _LIMBS = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 _LENGTHS = (*((f"{a}_{s}", f"{b}_{s}") for a, b in _LIMBS for s in "rl"), ("mid_hip", "neck"), ("mid_hip", "head_top"))
 _BREADTHS = (("hip_r", "hip_l"), ("shoulder_r", "shoulder_l"))
 _PAIRS = (*_LENGTHS, *_BREADTHS)
+# Standard deviations of their logarithms. Contours hardly show lengths; joints of two bodies differ most in breadths.
+_SIGMAS = np.repeat([0.01, 0.06], [len(_LENGTHS), len(_BREADTHS)])
 
 
 class Model(Protocol):
@@ -43,21 +44,19 @@ class Model(Protocol):
 class Parametric:
     """A model's parameters as a `Build`; amounts are counted from `start` (M,), with which the fit begins.
 
-    `length` is the standard deviation of the logarithms of limb lengths and stature about those of the start; contours
-    hardly show them. By default a segment's surface may turn against the axes of its joint, as a model's does.
+    By default a segment's surface may turn against the axes of its joint, as a model's does.
     """
 
     model: Model
     start: Float
-    length: float = 0.01
     rigid: bool = False
 
     def fields(self, body: Body, amounts: Mapping[str, float]) -> Fields:
         parameters = self.model.parameters
         rates = rates_at(self.model, self.start + [amounts.get(p.name, 0.0) for p in parameters])
         spread = np.array([p.spread for p in parameters])
-        bones, sigma = _length_rates(body, rates[2]), _sigmas(self.length)
-        precision = np.diag(spread**-2.0) + (bones.T / sigma**2) @ bones
+        bones = _length_rates(body, rates[2])
+        precision = np.diag(spread**-2.0) + (bones.T / _SIGMAS**2) @ bones
         return Fields(tuple(p.name for p in parameters), *rates, precision)
 
     def moved(self, fields: Fields, amounts: Float, change: Float) -> tuple[Float, Motions]:
@@ -85,7 +84,7 @@ def rates_at(model: Model, values: Float) -> Motions:
     return vertices, centres, marks
 
 
-def matched(model: Model, body: Body, length: float = 0.01) -> Parametric:
+def matched(model: Model, body: Body) -> Parametric:
     """The mean person with the limb lengths, trunk and stature of another body, as a build to start a fit with. Raises
     InputError where the body lacks a landmark that measures it, as ``humanoid("legs")`` does."""
     measured = dict.fromkeys(name for pair in _PAIRS for name in pair)
@@ -96,9 +95,9 @@ def matched(model: Model, body: Body, length: float = 0.01) -> Parametric:
     parameters = model.parameters
     usual, spread = np.array([p.usual for p in parameters]), np.array([p.spread for p in parameters])
     bounds = np.array([(p.low, p.high) for p in parameters])
-    terms = [LengthsTerm(model, _log_lengths(body), _sigmas(length)), BlockGaussian("build", usual, spread)]
+    terms = [LengthsTerm(model, _log_lengths(body), _SIGMAS), BlockGaussian("build", usual, spread)]
     x = minimise(BlockProblem(terms), Variables({"build": Vector(usual, bounds)}, ("build",)), _STEPS, gain=_GAIN).x
-    return Parametric(model, x["build"].values, length)
+    return Parametric(model, x["build"].values)
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,6 @@ class LengthsTerm:
     wanted: Float
     sigma: Float
     name: str = "lengths"
-    blocks: tuple[str, ...] = ("build",)
 
     def energy(self, x: Variables) -> float:
         return 0.5 * float(np.sum(self._residual(x) ** 2))
@@ -138,11 +136,6 @@ def carried_pose(given: Body, pose: Pose, body: Body, rig: Rig) -> Pose:
     q = [pose.q[given.coordinate(n)] if n in given.coordinate_names else 0.0 for n in body.coordinate_names]
     start = Pose(pose.root, np.array(q)).within(body.limits)
     return fit_keypoints(body, rig, Keypoints(names, pixels, confidence), fit_lengths=False, start=start).pose
-
-
-def _sigmas(length: float) -> Float:
-    """(P,) of the logarithms of lengths and breadths."""
-    return np.repeat([length, _BREADTH], [len(_LENGTHS), len(_BREADTHS)])
 
 
 def _apart(body: Body, marks: Float) -> Float:

@@ -19,7 +19,6 @@ from twistcap.search.backdrop import Backdrop, small_camera, small_features
 
 _FARTHEST = np.deg2rad(12.0)  # by which a camera may have been turned
 _NEAR = 1.5  # px of the small images, within which contours find the rest
-_CLIP = (-2.0, 2.5)  # nats that one pixel can say
 _LEAST = 0.5  # nats for each pixel of the body; below that nothing stands out there, as somebody who never moves
 
 
@@ -46,7 +45,7 @@ def turned_towards(
     farthest, total, area = int(still.camera.K[0, 0] * np.tan(_FARTHEST)), np.zeros((0, 0)), 0.0
     for image, at in zip(pictures, posed, strict=True):
         if image is not None:
-            nats = still.standing_out(small_features(image, still.camera.size, channels), _CLIP)
+            nats = still.standing_out(small_features(image, still.camera.size, channels))
             body = _silhouette(at, still.camera, farthest)
             found, area = _by_shift(nats, body, farthest), area + float(body.sum())
             total = found if not total.size else total + found

@@ -163,10 +163,6 @@ class ClickTerm:
     sigma: float
     name: str = "clicks"
 
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        return (self.view, "joints", "shape")
-
     def energy(self, x: Variables) -> float:
         return 0.5 * float(np.sum(self._residual(x, self._posed(x)) ** 2))
 

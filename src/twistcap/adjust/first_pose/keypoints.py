@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
@@ -18,7 +17,7 @@ from twistcap.body.rig_spec import RIG_MEND
 from twistcap.camera import Rig, pinhole
 from twistcap.errors import InputError, check
 from twistcap.estimate import Keypoints
-from twistcap.solve import Arrow, BlockProblem, CameraBlock, Dense, PoseTrack, Solution, Variables, minimise
+from twistcap.solve import Arrow, BlockProblem, Dense, PoseTrack, Solution, Variables, minimise
 from twistcap.terms import BlockGaussian, GaussianTerm, LimitTerm, OnPose, ReprojectionTerm
 
 # Standard deviations as multiples of a wrist's: the definitions differ between detector and body. The hips of OpenPose
@@ -122,11 +121,11 @@ class KeypointProblem:
 
     def start(self, poses: Sequence[Pose], log_factors: Float) -> Variables:
         """The blocks at these poses and log-factors."""
-        blocks: dict[str, Any] = {"poses": PoseTrack(tuple(poses), np.arange(float(len(poses))))}
-        for f, frame in enumerate(self.frames):
-            blocks |= {_camera(f, c): CameraBlock(camera) for c, camera in enumerate(frame.rig)}
-        free = ("poses", "shape") if self.fit_lengths else ("poses",)
-        return Variables({**blocks, "shape": Scaling(log_factors, skeleton=self.skeleton)}, free)
+        blocks = {
+            "poses": PoseTrack(tuple(poses), np.arange(float(len(poses)))),
+            "shape": Scaling(log_factors, skeleton=self.skeleton),
+        }
+        return Variables(blocks, ("poses", "shape") if self.fit_lengths else ("poses",))
 
     def minimised(self, x: Variables, steps: int = 30) -> Solution[Variables, Dense | Arrow]:
         """The minimum of the terms from there."""
@@ -153,7 +152,7 @@ class KeypointProblem:
         frame = self.frames[f]
         own = np.flatnonzero(frame.weights[c] > 0)
         pixels, weight, sigma = (array[c, own] for array in (frame.pixels, frame.weights, frame.sigma))
-        return ReprojectionTerm(frame.marks[own], pixels, weight, sigma, self.reach, _camera(f, c), frame=f)
+        return ReprojectionTerm(frame.rig[c].P, frame.marks[own], pixels, weight, sigma, self.reach, f)
 
     def _poses(self) -> list[OnPose]:
         body = self.skeleton.body
@@ -182,7 +181,3 @@ def residuals(frame: Evidence, points: Float) -> Float:
     pixels, depth, _ = pinhole(np.stack([camera.P for camera in frame.rig]), points[None])
     off = (pixels - frame.pixels) / frame.sigma[..., None]
     return np.where(depth[..., None] > 0.05, off, 1e6)
-
-
-def _camera(f: int, c: int) -> str:
-    return f"camera {c}, instant {f}"

@@ -146,7 +146,6 @@ class OutlineTerm:
     weight: Float
     frame: int
     name: str = "outline"
-    blocks: tuple[str, ...] = ("poses", "girths")
 
     def energy(self, x: Variables) -> float:
         posed, points = self._placed(x)

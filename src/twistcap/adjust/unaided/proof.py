@@ -207,11 +207,7 @@ class Unaided:
     calibration: str = "the calibration"
 
     def found(self) -> Proof:
-        """The track that is proved, of as few probes as are needed.
-
-        Raises:
-            InputError: where none is.
-        """
+        """The track that is proved, of as few probes as are needed. Raises InputError where none is."""
         frames, probes, tracks, best = list[Frame](), list[Probe](), list[Track](), None
         probed = self._places
         for at in probed:

@@ -22,6 +22,7 @@ from twistcap.search.evidence import Evidence, EvidenceView
 _NOISE = 0.0005  # variance that is never undercut, brightness²
 _USUAL = 1.5  # nats that a pixel of the background has for the person, with which it just fits
 _HOLE = 13  # px across, of holes in what stands out: there the person may be part of the still picture
+_CLIP = (-2.0, 2.5)  # least and greatest nats that one pixel can say
 _IN_HOLE = 0.15  # share of the evidence against the person that counts there
 _QUIET = 30.0  # per cent of the pictures by which a pixel's noise is judged: the person may hide it in the others
 _QUIET_SD = 0.385  # standard deviations of a Gaussian within which so many lie
@@ -40,13 +41,13 @@ class Still:
     mean: Float32
     variance: Float32
 
-    def standing_out(self, features: Float32, clip: tuple[float, float]) -> Float32:
+    def standing_out(self, features: Float32) -> Float32:
         """(h, w) nats by which each pixel speaks for something in front of the still picture."""
         distance = ((features - self.mean) ** 2 / self.variance).sum(axis=2)
-        nats = np.clip(0.5 * (distance - features.shape[2]) - _USUAL, *clip).astype(np.float32)
+        nats = np.clip(0.5 * (distance - features.shape[2]) - _USUAL, *_CLIP).astype(np.float32)
         nats = np.asarray(cv2.GaussianBlur(nats, (3, 3), 0.7), np.float32)
         hole = cv2.morphologyEx(nats, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_HOLE, _HOLE)))
-        return np.where(np.asarray(hole) > 0.0, np.maximum(nats, _IN_HOLE * clip[0]), nats).astype(np.float32)
+        return np.where(np.asarray(hole) > 0.0, np.maximum(nats, _IN_HOLE * _CLIP[0]), nats).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -56,19 +57,17 @@ class Scenery:
     Attributes:
         stills: one for each camera; None for one that has no picture.
         channels: of the features.
-        clip: least and greatest nats that one pixel can say.
     """
 
     stills: tuple[Still | None, ...]
     channels: Channels
-    clip: tuple[float, float] = (-2.0, 2.5)
 
     def evidence(self, images: Sequence[AnyArray | None], body: Body) -> Evidence:
         """The evidence of one instant's images for a body of any colours."""
         views = list[EvidenceView]()
         for i, (image, still) in enumerate(zip(images, self.stills, strict=True)):
             if image is not None and still is not None:
-                nats = still.standing_out(small_features(image, still.camera.size, self.channels), self.clip)
+                nats = still.standing_out(small_features(image, still.camera.size, self.channels))
                 views.append(EvidenceView(i, still.camera, np.repeat(nats[None], len(body.segment_names), axis=0)))
         return Evidence(body, views)
 
