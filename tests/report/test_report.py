@@ -181,7 +181,18 @@ def test_lost_frames_have_no_say_in_the_height_of_a_panel(tmp_path: Path, monkey
         angle_plot(tmp_path / "a.png", series, None, *flags)
     low, high = saved[0].axes[0].get_ylim()
     assert -55 < low < -40 and 40 < high < 55
-    assert saved[1].axes[0].get_ylim()[1] > 300  # all of it is lost: all is shown
+    low, high = saved[1].axes[0].get_ylim()
+    assert -55 < low < -40 and 40 < high < 55  # all of it is lost: its curve is shown
+
+
+def test_no_band_hides_that_frames_are_lost(tmp_path: Path) -> None:
+    """The σ of a body that is predicted alone fills its panel."""
+    times = np.arange(60) / 60
+    lost = (times > 0.3) & (times < 0.7)
+    series = AngleSeries(times, ("knee_angle_r",), np.zeros((60, 1)), np.where(lost, 3.0, 0.05)[:, None])
+    picture = cv2.imread(str(angle_plot(tmp_path / "a.png", series, None, lost)))[..., ::-1].astype(int)
+    red = np.all(np.abs(picture - (249, 214, 215)) < 6, axis=2)
+    assert red.sum(axis=0).max() > 0.9 * red.any(axis=1).sum() and red.any(axis=0).sum() > 60
 
 
 def test_envelopes_hold_every_frame_of_a_column() -> None:

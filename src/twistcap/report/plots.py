@@ -55,7 +55,8 @@ def angle_plot(
     dashed, on its own times; `lost` and `dropped` (N,) are frames to shade red and grey. The panels are as high as the
     other frames need: a band may be whole turns wide where the body is lost."""
     names = estimate.names
-    unknown = np.any([flags for flags in (lost, dropped, np.zeros(len(estimate.times))) if flags is not None], axis=0)
+    every = [flags for flags in (lost, dropped, np.zeros(len(estimate.times))) if flags is not None]
+    unknown = np.asarray(np.any(every, axis=0), np.bool_)
     drawn = [(estimate, ~unknown), *([] if truth is None else [(truth, np.isfinite(truth.times))])]
     figure, panels = _grid(names, title, np.concatenate([series.times for series, _ in drawn]))
     for panel, axis in panels.items():
@@ -65,7 +66,7 @@ def angle_plot(
             for start, end in spans(estimate.times, flags) if flags is not None else ():
                 axis.axvspan(start, end, color=colour, alpha=0.22, lw=0, zorder=0)
         for name in own:
-            _draw_angle(axis, estimate, name)
+            _draw_angle(axis, estimate, name, unknown)
             if truth is not None and name in truth.names:
                 colour = _DARK[split_side(name)[1]]
                 values = np.degrees(truth.angles[:, truth.names.index(name)])
@@ -82,13 +83,16 @@ def angle_plot(
     return _saved(path, figure, names, more)
 
 
-def _draw_angle(axis: Axes, series: AngleSeries, name: str) -> None:
-    """The curve and its band, as tall in each column of pixels as its frames are."""
+def _draw_angle(axis: Axes, series: AngleSeries, name: str, unknown: Bool) -> None:
+    """The curve and its band, as tall in each column of pixels as its frames are. In frames (N,) of which nothing is
+    known the curve is dotted, without a band: it would hide how they are shaded."""
     colour, (values, band) = _COLOURS[split_side(name)[1]], _in_degrees(series, name)
+    known, guessed = np.where(unknown, np.nan, values), np.where(unknown, values, np.nan)
     if series.sigma is not None:
-        edges = envelope(series.times, values - band, values + band)
+        edges = envelope(series.times, known - band, known + band)
         axis.fill_between(*edges, color=colour, alpha=0.3, lw=0, zorder=2)
-    axis.fill_between(*envelope(series.times, values, values), color=colour, alpha=0.75, lw=1.2, zorder=3)
+    axis.fill_between(*envelope(series.times, known, known), color=colour, alpha=0.75, lw=1.2, zorder=3)
+    axis.plot(series.times, guessed, ":", color=colour, lw=0.9, zorder=3)
 
 
 def _in_degrees(series: AngleSeries, name: str) -> tuple[Float, Float]:
