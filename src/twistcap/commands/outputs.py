@@ -20,7 +20,7 @@ from twistcap.evaluate.gait import SIDES, gait_of
 from twistcap.evaluate.load import Reference
 from twistcap.evaluate.metrics import Row
 from twistcap.io.coordinates import coordinates_of, opensim_angles
-from twistcap.io.exports import ExportOptions, export, offered_formats, shared
+from twistcap.io.exports import ExportOptions, export, format_of, offered_formats, shared
 from twistcap.io.norms import Band
 from twistcap.io.result import Result
 from twistcap.io.session import Session
@@ -32,6 +32,12 @@ from twistcap.report.verdict import camera_rows, chosen_rows, graded, verdict_of
 from twistcap.report.words import result_in_words
 
 _STRIDES = 2  # of each side, from which a walk has cycles
+
+
+def own_files(folder: Path, exports: Iterable[str]) -> list[Path]:
+    """What a track writes into its folder beside its result, some of it only where it is wanted."""
+    names = "angles.png", "overlay.mp4", "cycles.png", "report.html", *(format_of(kind).file_name for kind in exports)
+    return [folder / name for name in names]
 
 
 def write_files(result: Result, session: Session, views: Views, folder: Path, title: str) -> list[Path]:

@@ -88,7 +88,9 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
     """Track a session into a folder; what ``--json`` prints."""
     from twistcap.commands.cameras import mend_in_words, places_and_clocks
     from twistcap.commands.clocks import clocks_in_words
+    from twistcap.commands.outputs import own_files
     from twistcap.io.exports import check_installed
+    from twistcap.io.files import check_replaceable, keeping
     from twistcap.io.lock import WriteLock
     from twistcap.io.result import read_result
     from twistcap.report.words import beside_in_words, result_in_words
@@ -97,7 +99,9 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
     norms = session.output.gait_norms  # a file that cannot be read is refused before the work
     check_installed(session.output.exports)
     terminal.tell_compiling()
-    with WriteLock(path) as lock:
+    unread = {"first_pose"} if begin.resume else None
+    with WriteLock(path) as lock, keeping(session.model_dump(mode="json", exclude=unread)):
+        check_replaceable(path, *own_files(folder, session.output.exports))  # before the work
         views, timing, watched = _tracked(session, path, begin, lock)
         result = read_result(path)
         with words.status("comparing the cameras' clocks"):

@@ -22,7 +22,7 @@ from twistcap.errors import InputError, check, check_choice
 from twistcap.io.bvh import write_bone_bvh, write_bvh
 from twistcap.io.c3d import write_c3d
 from twistcap.io.coordinates import ANGLES, Angles
-from twistcap.io.files import replacing, unwritable, write_lines
+from twistcap.io.files import check_replaceable, replacing, unwritable, write_lines
 from twistcap.io.markers import TO_FILE, WorldAxes, write_trc
 from twistcap.io.motion_files import write_csv, write_mot
 from twistcap.io.opensim_package import write_opensim
@@ -128,6 +128,7 @@ def export(
         check(f"export: {key}", not given or key in chosen.takes, f"{name} takes none; leave it away")
     check("export: rig", options.rig is None or options.into is not None, "it is that of the GLB of into; give both")
     path = path or folder / chosen.file_name
+    check_replaceable(path)
     try:
         chosen.write(result, path, options)
     except OSError as error:  # of an installed format; ours raise InputError
