@@ -126,6 +126,7 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
     """The views, how long it took, and what was watched of the cameras."""
     from twistcap.commands.clocks import watched_by
     from twistcap.commands.follow import held
+    from twistcap.commands.outputs import remove_older
     from twistcap.commands.start import show_start
     from twistcap.io.provenance import made_of
     from twistcap.io.recording import body_in_words, open_recording, rate_in_words
@@ -151,6 +152,8 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
     tracker = session_tracker(session, recording.body, views, watch=True)
     tracker.start(recording.first_pose, recording.first_time)
     config = session.model_dump(mode="json")
+    if path.exists():
+        remove_older(path, session.output.exports)
     with ResultWriter(path, recording.body, recording.rig, config, made, len(views), lock) as writer:
         kept = _kept(_shown(session, views), tracker, writer, path, given=recording.first_pose)
         return views, kept, watched_by(tracker)

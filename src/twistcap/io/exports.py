@@ -90,6 +90,7 @@ class ExportFormat:
     about: str  # what is in it, in a few words for the report
     write: Callable[[Result, Path, ExportOptions], Any]
     takes: tuple[str, ...] = ("axes", "angles")  # the options that change it, beside `fill`
+    beside: tuple[str, ...] = ()  # usual names of more files
 
 
 def format_of(name: str) -> ExportFormat:
@@ -180,7 +181,9 @@ def _write_mot(result: Result, path: Path, o: ExportOptions) -> None:
 
 trc = ExportFormat("joints.trc", "joint centres (OpenSim, Mokka)", _write_landmarks, ("axes",))
 mot = ExportFormat("angles.mot", "joint angles (OpenSim)", _write_mot)
-bvh = ExportFormat("motion.bvh", "skeleton and motion (Blender, MotionBuilder)", _write_bvh, _PLAYED)
+bvh = ExportFormat(
+    "motion.bvh", "skeleton and motion (Blender, MotionBuilder)", _write_bvh, _PLAYED, ("motion.flags.json",)
+)
 csv = ExportFormat(
     "angles.csv", "joint angles and their standard deviations",
     lambda result, path, options: write_csv(path, result, options.axes, options.angles, options.fill),
