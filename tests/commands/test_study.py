@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import typer
 
 from support.cameras import ring
 from support.commands import document, refusal, run
@@ -165,6 +166,33 @@ def test_a_trial_that_fails_is_listed_and_mended(
     video.write_bytes(kept)
     assert run("study", study, "--out", out, "--workers", 1) == 0
     assert rows(out / "angles.csv") == undisturbed
+
+
+@pytest.mark.usefixtures("inline")
+def test_an_interrupt_is_no_failure(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C comes to the worker, which may be at any trial, and to the study: it lists what is done."""
+    made, out = study_file(tmp_path, data), tmp_path / "out"
+
+    def track(session: Session, folder: Path, _: object) -> None:
+        try:
+            if folder.name == "slow":
+                raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            raise typer.Exit(130) from None
+        trial = next(trial for trial in load_study(made).trials if trial.folder(out) == folder)
+        walked(folder, trial, 3, 1.0)
+
+    def heard(name: str, *_: object) -> None:
+        if name == "p1/slow":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(study_jobs, "run_session", track)
+    monkeypatch.setattr("twistcap.commands.study._tell", heard)
+    assert run("study", made, "--out", out) == 130
+    assert not list(out.rglob("error.txt"))
+    listed = [(row["subject"], row["trial"], row["status"], row["frames"]) for row in rows(out / "trials.csv")]
+    assert listed[:2] == [("p1", "fast", "done", "3"), ("p1", "slow", "open", "0")]
+    assert [status for _, _, status, _ in listed[2:]] == ["open", "open"]
 
 
 @pytest.mark.usefixtures("inline")

@@ -29,6 +29,7 @@ from twistcap.io.result import Result, read_result
 from twistcap.io.session import GlbBody, Session
 from twistcap.io.study import BODY, StudyFile, StudyOutput, Trial
 
+INTERRUPTED = "interrupted; the same command goes on"
 STEPS = ("fit", "track", "refine", "files", "rows")
 
 
@@ -216,6 +217,8 @@ def _reported(folder: Path, work: Callable[[Path], Outcome]) -> Outcome:
     except InputError as error:
         return Outcome(str(error))
     except Exception as error:
+        if terminal.by_ctrl_c(error):
+            return Outcome(INTERRUPTED)
         with suppress(InputError):
             write_lines(trace, traceback.format_exc().splitlines())
         return Outcome(f"{type(error).__name__}: {error}; see {trace}")
