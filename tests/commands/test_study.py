@@ -198,7 +198,7 @@ def test_an_interrupt_is_no_failure(data: Path, tmp_path: Path, monkeypatch: pyt
 @pytest.mark.usefixtures("inline")
 def test_body_refinement_and_a_table_of_trials(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "trials.csv").write_text(
-        f'subject,trial,session,frames\np1,a,{data}/p1/fast/session.toml,\np1,b,{data}/p1/slow/session.toml,"[0, 2]"\n'
+        f'subject,trial,session,frames\np1,a,{data}/p1/fast/session.toml,\np1,b,{data}/p1/slow/session.toml,"[1, 3]"\n'
     )
     text = "[body]\nframes = 1\n[refine]\nrounds = 1\ncoarse_rounds = 1\n[session]\nscale = 0.9\n"
     text += "[output]\nreport = false\nexports = []\n"
@@ -206,6 +206,8 @@ def test_body_refinement_and_a_table_of_trials(data: Path, tmp_path: Path, capsy
     found = document(capsys, "study", study, "--out", tmp_path / "out", "--workers", 1)
     assert found["done"] == 2 and set(found["seconds"]) == {"fit", "track", "refine", "files", "rows"}
     first, second = (read_result(tmp_path / "out" / "p1" / name / "refined" / "refined.h5") for name in "ab")
+    doubts = [row["message"] for row in rows(tmp_path / "out" / "trials.csv")]
+    assert doubts[0] == "" and "the first pose is of frame 0, and tracking begins at frame 1" in doubts[1]
     assert len(first) == FRAMES and len(second) == 3 and first.config["scale"] == 0.9
     bodies = [read_result(tmp_path / "out" / "p1" / name / "result.h5").body for name in "ab"]
     given = load_session(data / "p1" / "fast" / "session.toml")

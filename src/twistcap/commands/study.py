@@ -142,6 +142,8 @@ class Jobs:
 def _tell(name: str, outcome: Outcome, advance: terminal.Advance) -> None:
     if outcome.message:
         terminal.say(f"{name} failed: {outcome.message}")
+    if outcome.note:
+        terminal.say(f"{name}: {outcome.note}")
     advance(name)
 
 
@@ -182,7 +184,7 @@ def _lines(study: Study, outcomes: dict[Any, Outcome]) -> Iterator[tuple[Any, ..
     for trial in study.trials:
         outcome = outcomes.get(trial, Outcome(INTERRUPTED))
         status = "open" if outcome.message == INTERRUPTED else "failed" if outcome.message else "done"
-        yield trial.subject, trial.trial, status, outcome.frames, outcome.lost, outcome.message
+        yield trial.subject, trial.trial, status, outcome.frames, outcome.lost, outcome.message or outcome.note
 
 
 def _show(document: dict[str, Any]) -> None:

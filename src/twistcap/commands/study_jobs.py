@@ -27,6 +27,7 @@ from twistcap.io.coordinates import coordinates_of
 from twistcap.io.files import write_lines
 from twistcap.io.result import Result, read_result
 from twistcap.io.session import GlbBody, Session
+from twistcap.io.start_report import frame_in_words
 from twistcap.io.study import BODY, StudyFile, StudyOutput, Trial
 
 INTERRUPTED = "interrupted; the same command goes on"
@@ -35,12 +36,13 @@ STEPS = ("fit", "track", "refine", "files", "rows")
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a job; `message` says why it failed."""
+    """What came of a job; `message` says why it failed, `note` what is to be said of one that did not."""
 
     message: str = ""
     frames: int = 0
     lost: int = 0
     seconds: Mapping[str, float] = field(default_factory=dict[str, float])  # by step, of those that ran
+    note: str = ""
 
 
 class Steps:
@@ -119,7 +121,7 @@ def run_trial(trial: Trial, about: StudyFile, study: Path) -> Outcome:
         result = _tracked(session, about, steps)
         rows = rows_of(trial, study)
         gave = steps.once("rows", rows, lambda _: _write_rows(rows, trial, read_result(result), about.output))
-        return Outcome("", gave["frames"], gave["lost"], steps.seconds)
+        return Outcome("", gave["frames"], gave["lost"], steps.seconds, frame_in_words(session))
 
     return _reported(trial.folder(study), work)
 
