@@ -258,9 +258,9 @@ def test_interrupt_keeps_the_result(
 
 
 def test_what_replaces_a_result_leaves_no_file_of_it(
-    made: Path, tracked: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    made: Path, tracked: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Also where it is stopped at once; what others wrote there stays."""
+    """Also where it is stopped at once; what others wrote there stays. What goes on from there begins anew."""
     out = Path(shutil.copytree(tracked, tmp_path / "o"))
     others = {"motion.glb", "gait.csv", "mine.trc"}
     for name in others:
@@ -271,6 +271,12 @@ def test_what_replaces_a_result_leaves_no_file_of_it(
     assert refused == 2 and {"report.html", "joints.trc", "angles.csv"} <= {path.name for path in out.iterdir()}
     assert run(*track) == 130
     assert {path.name for path in out.iterdir()} == {"result.h5", *others}
+    assert "nothing to resume" not in (told := capsys.readouterr().err)
+    assert "interrupted: no frame was tracked yet; begin anew" in told and "frames are kept" not in told
+    for folder in (out, tmp_path / "new"):
+        assert run("track", made / "session.toml", "--out", folder, "--resume") == 130
+        said = f"{folder / 'result.h5'} holds no tracked frame: there is nothing to resume, and tracking begins anew"
+        assert said in capsys.readouterr().err
 
 
 def test_bad_input_keeps_an_older_result(session: Path, tracked: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -108,7 +108,7 @@ def test_a_first_pose_of_another_frame_is_said(
     path = walk / "session.toml"
     monkeypatch.setattr("twistcap.track.Tracker.step", lambda *_: signal.raise_signal(signal.SIGINT))
     for frames, said in (("0:1", False), ("1:1", True)):
-        assert run("track", path, "--out", tmp_path / frames, "--frames", frames) == 130
+        assert run("track", path, "--out", tmp_path, "--frames", frames) == 130
         told = " ".join(capsys.readouterr().err.split())
         assert said == ("the first pose is of frame 0, and tracking begins at frame 1: the person may be lost" in told)
         assert said == ("give a first pose of frame 1, or begin at frame 0." in told)

@@ -202,12 +202,14 @@ def check_free(*paths: Path, overwrite: bool) -> None:
 
 
 def frame_range(text: str | None, option: str = "--frames") -> tuple[int, int] | None:
-    """``10:20`` as frames 10 to 20, both included. Raises InputError where it reads otherwise."""
+    """``10:20`` as frames 10 to 20, both included. Raises InputError where it reads otherwise, or is reversed."""
     if text is None:
         return None
     first, colon, last = text.partition(":")
     if not (colon and first.isdigit() and last.isdigit()):
         raise InputError(f"{option} is {text!r}; write FIRST:LAST, both included, such as 0:99.")
+    if int(first) > int(last):
+        raise InputError(f"{option} is {text!r}, a range that is reversed; write {last}:{first}.")
     return int(first), int(last)
 
 

@@ -138,6 +138,8 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
     if done is not None:
         mend = "go on with --resume, replace them with --overwrite, or choose another --out"
         raise InputError(f"{path} holds {len(done)} tracked frames; {mend}.")
+    if begin.resume:
+        terminal.say(f"{path} holds no tracked frame: there is nothing to resume, and tracking begins anew")
     with words.status("reading the session, fitting the first pose"):
         if said := body_in_words(session):  # first, since it may be why there is no first pose
             terminal.say(said)
@@ -234,7 +236,8 @@ def _kept(views: Any, tracker: Any, writer: Any, path: Path, passed: Iterable[An
     except (KeyboardInterrupt, SystemError) as error:  # numba's kernels make the second of the first
         if not terminal.by_ctrl_c(error):
             raise
-        terminal.say(f"interrupted: the first {len(writer)} frames are kept in {path}; go on with --resume")
+        kept = f"the first {len(writer)} frames are kept in {path}; go on with --resume"
+        terminal.say(f"interrupted: {kept if len(writer) else 'no frame was tracked yet; begin anew'}")
         raise typer.Exit(130) from None
 
 
