@@ -257,6 +257,28 @@ def test_interrupt_keeps_the_result(
     assert "the track holds 3 of 8 frames" in result_in_words(read_result(tmp_path / "result.h5"))
 
 
+def test_what_replaces_a_result_leaves_no_file_of_it(
+    made: Path, tracked: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also where it is stopped at once; what others wrote there stays. What goes on from there begins anew."""
+    out = Path(shutil.copytree(tracked, tmp_path / "o"))
+    others = {"motion.glb", "gait.csv", "mine.trc"}
+    for name in others:
+        (out / name).write_text(name)
+    monkeypatch.setattr("twistcap.track.Tracker.step", lambda *_: signal.raise_signal(signal.SIGINT))
+    track = ("track", made / "session.toml", "--out", out, "--overwrite", "--set", "output.exports=['mot']")
+    refused = run(*track, "--set", "videos.cam01='none.mp4'")
+    assert refused == 2 and {"report.html", "joints.trc", "angles.csv"} <= {path.name for path in out.iterdir()}
+    assert run(*track) == 130
+    assert {path.name for path in out.iterdir()} == {"result.h5", *others}
+    assert "nothing to resume" not in (told := capsys.readouterr().err)
+    assert "interrupted: no frame was tracked yet; begin anew" in told and "frames are kept" not in told
+    for folder in (out, tmp_path / "new"):
+        assert run("track", made / "session.toml", "--out", folder, "--resume") == 130
+        said = f"{folder / 'result.h5'} holds no tracked frame: there is nothing to resume, and tracking begins anew"
+        assert said in capsys.readouterr().err
+
+
 def test_bad_input_keeps_an_older_result(session: Path, tracked: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (tracked / "result.h5").read_bytes()
     replace_text(session, "cam02.mp4", "none.mp4")

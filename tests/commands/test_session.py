@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import signal
 from dataclasses import fields
 from importlib.util import find_spec
 from pathlib import Path
@@ -98,6 +99,19 @@ def test_a_frame_rate_that_replaces_the_videos_is_said(
     assert run("session", path) == 0
     said = " ".join(capsys.readouterr().err.split())
     assert "fps = 25 of the session is believed, not the 60 of video" in said
+
+
+def test_a_first_pose_of_another_frame_is_said(
+    walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before the first frame is tracked."""
+    path = walk / "session.toml"
+    monkeypatch.setattr("twistcap.track.Tracker.step", lambda *_: signal.raise_signal(signal.SIGINT))
+    for frames, said in (("0:1", False), ("1:1", True)):
+        assert run("track", path, "--out", tmp_path, "--frames", frames) == 130
+        told = " ".join(capsys.readouterr().err.split())
+        assert said == ("the first pose is of frame 0, and tracking begins at frame 1: the person may be lost" in told)
+        assert said == ("give a first pose of frame 1, or begin at frame 0." in told)
 
 
 def test_a_glb_is_parsed_once(walk: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import typer
 
 from support.cameras import ring
 from support.commands import document, refusal, run
@@ -168,9 +169,36 @@ def test_a_trial_that_fails_is_listed_and_mended(
 
 
 @pytest.mark.usefixtures("inline")
+def test_an_interrupt_is_no_failure(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C comes to the worker, which may be at any trial, and to the study: it lists what is done."""
+    made, out = study_file(tmp_path, data), tmp_path / "out"
+
+    def track(session: Session, folder: Path, _: object) -> None:
+        try:
+            if folder.name == "slow":
+                raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            raise typer.Exit(130) from None
+        trial = next(trial for trial in load_study(made).trials if trial.folder(out) == folder)
+        walked(folder, trial, 3, 1.0)
+
+    def heard(name: str, *_: object) -> None:
+        if name == "p1/slow":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(study_jobs, "run_session", track)
+    monkeypatch.setattr("twistcap.commands.study._tell", heard)
+    assert run("study", made, "--out", out) == 130
+    assert not list(out.rglob("error.txt"))
+    listed = [(row["subject"], row["trial"], row["status"], row["frames"]) for row in rows(out / "trials.csv")]
+    assert listed[:2] == [("p1", "fast", "done", "3"), ("p1", "slow", "open", "0")]
+    assert [status for _, _, status, _ in listed[2:]] == ["open", "open"]
+
+
+@pytest.mark.usefixtures("inline")
 def test_body_refinement_and_a_table_of_trials(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "trials.csv").write_text(
-        f'subject,trial,session,frames\np1,a,{data}/p1/fast/session.toml,\np1,b,{data}/p1/slow/session.toml,"[0, 2]"\n'
+        f'subject,trial,session,frames\np1,a,{data}/p1/fast/session.toml,\np1,b,{data}/p1/slow/session.toml,"[1, 3]"\n'
     )
     text = "[body]\nframes = 1\n[refine]\nrounds = 1\ncoarse_rounds = 1\n[session]\nscale = 0.9\n"
     text += "[output]\nreport = false\nexports = []\n"
@@ -178,6 +206,8 @@ def test_body_refinement_and_a_table_of_trials(data: Path, tmp_path: Path, capsy
     found = document(capsys, "study", study, "--out", tmp_path / "out", "--workers", 1)
     assert found["done"] == 2 and set(found["seconds"]) == {"fit", "track", "refine", "files", "rows"}
     first, second = (read_result(tmp_path / "out" / "p1" / name / "refined" / "refined.h5") for name in "ab")
+    doubts = [row["message"] for row in rows(tmp_path / "out" / "trials.csv")]
+    assert doubts[0] == "" and "the first pose is of frame 0, and tracking begins at frame 1" in doubts[1]
     assert len(first) == FRAMES and len(second) == 3 and first.config["scale"] == 0.9
     bodies = [read_result(tmp_path / "out" / "p1" / name / "result.h5").body for name in "ab"]
     given = load_session(data / "p1" / "fast" / "session.toml")

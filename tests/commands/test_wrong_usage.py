@@ -9,8 +9,9 @@ from typing import Any, cast
 import pytest
 
 from support.cameras import ring
-from support.commands import refusal, run
+from support.commands import refusal, replace_text, run
 from support.results import estimate, two_links
+from twistcap.body.humanoid import humanoid
 from twistcap.commands import terminal
 from twistcap.io.calibration import write_rig
 from twistcap.io.result import ResultWriter
@@ -29,6 +30,9 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             writer.append(estimate(k))
     Path("notes.txt").write_text("a text")
     Path("empty").mkdir()
+    Path("seen.npz").write_text("a file that is read")
+    Path("kept.trc").write_text("a text")
+    Path("kept.trc").chmod(0o444)
     return tmp_path
 
 
@@ -40,7 +44,10 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("prior train walk1.mot result.h5", "OUT is walk1.mot; name a file that ends in .npz."),
         ("convert Calib.toml x.mp4", "OUT is x.mp4; name a file that ends in .toml."),
         ("convert Calib.toml c.txt --to qualisys", "OUT is c.txt; name a file that ends in .qca.txt."),
-        ("convert Calib.toml Calib.toml", "OUT is Calib.toml, the calibration that is read; name another file."),
+        ("convert Calib.toml Calib.toml", "Calib.toml is not replaced: it is one of the files that this command reads"),
+        ("prior train seen.npz result.h5 seen.npz", "seen.npz is not replaced: it is one of the files that this"),
+        ("motions build seen.npz notes.txt seen.npz", "seen.npz is not replaced: it is one of the files that this"),
+        ("export result.h5 --to trc --out kept.trc", "kept.trc is not replaced: it is read-only; choose another place"),
         ("convert Calib.toml notes.txt --to opencv", "folder notes.txt cannot be made: File exists; choose"),
         ("convert Calib.toml x.toml --unit km", "--unit is 'km'; write m, cm, mm, or the length of one unit in m"),
         ("convert Calib.toml x.toml --size 0x0", "--size is '0x0'; write WIDTHxHEIGHT"),
@@ -49,6 +56,8 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("studio new --speed 0", "--speed: it is 0; give a number above 0."),
         ("studio notes.txt", "folder notes.txt cannot be made: File exists; choose another folder."),
         ("export result.h5 --to trc --frames 100:200", "no frame in 100:200; it has 0 to 2, see --frames."),
+        ("export result.h5 --to trc --frames 2:1", "--frames is '2:1', a range that is reversed; write 1:2."),
+        ("studio new --drop 12:9", "--drop is '12:9', a range that is reversed; write 9:12."),
         ("gait result.h5 --norms none.json", "none.json cannot be read: No such file or directory; check its path."),
         ("motions show empty", "twistcap: empty cannot be read: it is no file; check its path."),
         ("evaluate result.h5 --reference none.trc --axes up", "--axes is 'up'; it must be one of opensim"),
@@ -56,7 +65,26 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 )
 def test_one_sentence_names_the_mend(place: Path, line: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert told in refusal(capsys, *line.split())
-    assert Path("notes.txt").read_text() == "a text" and not Path("walk1.mot").exists()
+    assert Path("notes.txt").read_text() == Path("kept.trc").read_text() == "a text" and not Path("walk1.mot").exists()
+    assert Path("seen.npz").read_text() == "a file that is read"
+
+
+@pytest.mark.parametrize(
+    "options",
+    ["--out hero.glb --into hero.glb", "--out body.glb", "--out link.glb", "--out cam.glb", ""],
+)
+def test_an_export_replaces_nothing_that_is_read(place: Path, options: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Neither what the command names nor what the session does: not by a link, nor by a format's usual name."""
+    named = ["hero.glb", "body.glb", "cam.glb", "motion.glb"]
+    for name in named:
+        Path(name).write_text(name)
+    Path("link.glb").symlink_to("body.glb")
+    config = {"body": {"path": "body.glb"}, "videos": {"a": "cam.glb"}, "first_pose": {"lengths_from": ["motion.glb"]}}
+    with ResultWriter("result.h5", two_links(), ring(), config) as writer:
+        writer.append(estimate(0))
+    told = refusal(capsys, "export", "result.h5", "--to", "glb", *options.split())
+    assert "is not replaced: it is one of the files that this command reads, or that its session names; choose" in told
+    assert [Path(name).read_text() for name in named] == named and Path("link.glb").is_symlink()
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +121,29 @@ def test_a_place_that_cannot_be_written_is_told_before_the_work(
         "init session.toml --out Calib.toml/pose.json",
     ):
         assert "folder Calib.toml cannot be made" in refusal(capsys, *line.split())
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "body fit session.toml --out .",
+        "init session.toml --out body.json",
+        "track session.toml --out . --set output.exports=['glb']",
+    ],
+)
+def test_what_the_session_names_is_not_replaced(
+    walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is told before the work."""
+    monkeypatch.chdir(shutil.copytree(walk, tmp_path / "walk"))
+    name = {"init": "body.json", "track": "motion.glb"}.get(line.split()[0], "body.glb")
+    Path("body.glb").rename(name)
+    replace_text(Path("session.toml"), "body.glb", name)
+    if name == "body.json":
+        monkeypatch.setattr("twistcap.io.recording.body_of", lambda _: humanoid())
+    before = {path: path.read_bytes() for path in Path().rglob("*") if path.is_file()}
+    assert f"{name} is not replaced: it is one of the files that this" in refusal(capsys, *line.split())
+    assert before == {path: path.read_bytes() for path in Path().rglob("*") if path.is_file()}
 
 
 def test_a_file_that_may_not_be_written_is_told_with_a_mend(capsys: pytest.CaptureFixture[str]) -> None:

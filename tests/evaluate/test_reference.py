@@ -38,6 +38,10 @@ class Tracked:
     sources: AnyArray = field(default_factory=lambda: np.zeros((10, 1), np.int32))
 
     @property
+    def known(self) -> AnyArray:
+        return ~self.lost
+
+    @property
     def q(self) -> AnyArray:
         return np.array([pose.q for pose in self.poses])
 
@@ -96,6 +100,23 @@ def test_lost_frames_carry_the_recordings_numbers(tracked: Tracked, tmp_path: Pa
     evaluation = evaluate(tracked, tmp_path / "truth.npz")
     assert evaluation.lost_frames == [23]
     assert rows_of(evaluation)["joints, mean"] == pytest.approx(16.0)
+
+
+def test_frames_that_the_tracker_does_not_believe_count_and_are_said(tracked: Tracked, tmp_path: Path) -> None:
+    """As far as the reference has them; where it has masks too."""
+    write_truth(tmp_path / "truth.npz", tracked, angle_error_deg=2.0)
+    believed = evaluate(tracked, tmp_path / "truth.npz")
+    assert believed.notes == () and believed.as_dict()["unknown_frames"] == []
+    tracked.lost[[3, 9]] = True
+    found = evaluate(tracked, tmp_path / "truth.npz", exclude=["hip_r:29-29", "ankle_r:29-29", "knee_angle_r:29-29"])
+    assert found.as_dict()["unknown_frames"] == [23] and found.as_dict()["compared_frames"] == 9
+    assert (
+        found.notes[-1] == "1 of 9 compared frames are lost or unseen, as the tracker says; they count like all others"
+    )
+    assert rows_of(found)["KHE"] == pytest.approx(rows_of(believed)["KHE"])
+    (tmp_path / "masks" / "cam01").mkdir(parents=True)
+    cv2.imwrite(str(tmp_path / "masks" / "cam01" / "frame_0023.png"), np.zeros((201, 161), np.uint8))
+    assert evaluate(tracked, tmp_path / "masks").unknown_frames == [23]
 
 
 def test_keypoints_with_time_offset_are_interpolated(tracked: Tracked, tmp_path: Path) -> None:

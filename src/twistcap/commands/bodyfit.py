@@ -16,6 +16,7 @@ from twistcap.commands.body import BodyModel
 from twistcap.commands.terminal import status, tell_compiling, words
 from twistcap.doors.text import read_toml
 from twistcap.evaluate.metrics import Row, percentile_known, row
+from twistcap.io.files import check_replaceable, keeping
 from twistcap.io.pose_file import write_pose
 from twistcap.io.recording import Recording, image_masks, open_together
 from twistcap.io.session import Session
@@ -27,6 +28,8 @@ def fit_sessions(
     """Fit the first session's body, or another model in its place, to all of them; what ``--json`` prints."""
     from twistcap.report.bodyfit import draw_fit, write_page
 
+    with keeping(source, [session.model_dump(mode="json") for session in sessions]):
+        check_replaceable(*_goals(folder))
     tell_compiling()
     build, anny = None, None
     if model == "anny":
@@ -85,7 +88,7 @@ def _rows(name: str, before: Agreement, after: Agreement) -> list[Row]:
 
 def _written(fitted: Fitted, recording: Recording, source: Path, folder: Path) -> list[Path]:
     """The body, the first pose, and a session that takes both (unless the first session has a base itself)."""
-    body, pose, session = folder / "body.glb", folder / "first_pose.json", folder / "session.toml"
+    body, pose, session = _goals(folder)
     save_glb(fitted.body, body)
     write_pose(pose, fitted.body, fitted.first_poses[0])
     if "base" in read_toml(source, "session"):
@@ -95,6 +98,10 @@ def _written(fitted: Fitted, recording: Recording, source: Path, folder: Path) -
     text += f'base = {_quoted(source)}\n\n[body]\nkind = "glb"\npath = {_quoted(body)}\n\n'
     session.write_text(text + f"[first_pose]\nfile = {_quoted(pose)}\n", encoding="utf-8")
     return [body, pose, session]
+
+
+def _goals(folder: Path) -> tuple[Path, Path, Path]:
+    return folder / "body.glb", folder / "first_pose.json", folder / "session.toml"
 
 
 def _quoted(path: Path) -> str:

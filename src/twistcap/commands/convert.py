@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 
 from twistcap.commands import terminal
-from twistcap.errors import InputError, check_choice
+from twistcap.errors import check_choice
 
 if TYPE_CHECKING:
     from twistcap.camera import Rig
@@ -92,6 +92,4 @@ def _check_out(source: Path, out: Path, kind: CameraFormat) -> None:
     if kind.folder:
         terminal.output_folder(out)
         return
-    if out.resolve() == source.resolve():
-        raise InputError(f"OUT is {out}, the calibration that is read; name another file.")
-    terminal.output_file(out, "OUT", kind.ending)
+    terminal.output_file(out, "OUT", kind.ending, source)

@@ -54,6 +54,7 @@ def export(
     from twistcap.io.coordinates import ANGLES
     from twistcap.io.exports import ExportOptions, format_of
     from twistcap.io.exports import export as written
+    from twistcap.io.files import keeping
     from twistcap.io.markers import TO_FILE
 
     check_choice("--axes", axes, TO_FILE)
@@ -61,7 +62,9 @@ def export(
     options = ExportOptions(cast("WorldAxes", axes), cast("Angles", angles), fill, fps, into, rig)
     if out is not None:
         terminal.output_file(out, "--out", Path(format_of(to).file_name).suffix)
-    path = written(terminal.tracked(result, frames), to, result.parent, out, options)
+    tracked = terminal.tracked(result, frames)
+    with keeping(result, into, rig, tracked.config):
+        path = written(tracked, to, result.parent, out, options)
     if json:
         terminal.emit({"id": "export", "format": to, "file": path})
     else:

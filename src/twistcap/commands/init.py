@@ -105,7 +105,8 @@ def target_of(session: Any, path: Path, out: Path | None) -> Any:
     if out is not None and out.suffix.lower() != ".json":
         raise InputError(f"--out is {out}; a pose is written as JSON, so name a file that ends in .json.")
     if out is not None:
-        terminal.output_folder(out.parent)  # before the clicks
+        read = session.model_dump(mode="json", exclude={"first_pose": {"file"}})
+        terminal.output_file(out, "--out", ".json", read)  # before the clicks
     if out is None and table.file is not None and Path(table.file).suffix.lower() == ".json":
         return Target(Path(table.file), "file")
     if out is None and table.clicks is not None:

@@ -39,7 +39,7 @@ def build(
     from twistcap.io.motions import read_motion
     from twistcap.motion import MotionLibrary
 
-    terminal.output_file(out, "OUT", ".npz")
+    terminal.output_file(out, "OUT", ".npz", files, skeleton)
     body = humanoid(cast(Literal["full", "legs"], variant))  # which checks it
     names = terminal.names_in(coordinates)
     skeletons = [skeleton if path.suffix.lower() == ".amc" else None for path in files]

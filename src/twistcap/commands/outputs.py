@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,9 +21,10 @@ from twistcap.evaluate.gait import SIDES, gait_of
 from twistcap.evaluate.load import Reference
 from twistcap.evaluate.metrics import Row
 from twistcap.io.coordinates import coordinates_of, opensim_angles
-from twistcap.io.exports import ExportOptions, export, offered_formats, shared
+from twistcap.io.exports import FORMATS, ExportOptions, export, format_of, offered_formats, shared
+from twistcap.io.files import check_replaceable
 from twistcap.io.norms import Band
-from twistcap.io.result import Result
+from twistcap.io.result import Result, read_result
 from twistcap.io.session import Session
 from twistcap.io.video import Views
 from twistcap.report.overlay import bones_of, draw_mosaic, mosaic_for, overlay_video
@@ -32,6 +34,27 @@ from twistcap.report.verdict import camera_rows, chosen_rows, graded, verdict_of
 from twistcap.report.words import result_in_words
 
 _STRIDES = 2  # of each side, from which a walk has cycles
+
+
+def own_files(folder: Path, exports: Iterable[str]) -> list[Path]:
+    """What a track writes into its folder beside its result, some of it only where it is wanted."""
+    formats = list(map(format_of, exports))
+    names = [name for each in formats for name in (each.file_name, *each.beside)]
+    return [folder / name for name in ("angles.png", "overlay.mp4", "cycles.png", "report.html", *names)]
+
+
+def remove_older(path: Path, exports: Sequence[str]) -> None:
+    """Remove the files that go with an older result, as it says and as new `exports` replace them; none that is read
+    or read-only, no folder, and nothing else."""
+    wrote = None
+    with suppress(InputError):  # nobody knows what was beside it
+        wrote = read_result(path).config.get("output")
+    listed = wrote.get("exports") if isinstance(wrote, dict) else None
+    kinds = [kind for kind in FORMATS.names() if kind in exports or (isinstance(listed, list) and kind in listed)]
+    for file in filter(Path.is_file, own_files(path.parent, kinds)):
+        with suppress(InputError):
+            check_replaceable(file)
+            file.unlink()
 
 
 def write_files(result: Result, session: Session, views: Views, folder: Path, title: str) -> list[Path]:

@@ -45,7 +45,7 @@ def train(
 
     from twistcap.io.prior_file import trained_prior, write_prior
 
-    terminal.output_file(out, "OUT", ".npz")
+    terminal.output_file(out, "OUT", ".npz", files)
     names = terminal.names_in(coordinates)
     sigma = None if sigma_deg is None else float(np.radians(sigma_deg))
     made = trained_prior(files, every, names, sigma, _factors(scale or []))

@@ -101,6 +101,7 @@ def run_refine(
     from twistcap.adjust.refine import RefineConfig
     from twistcap.adjust.refine import refine as refined
     from twistcap.doors.strict import dataclass_from
+    from twistcap.io.files import check_replaceable, keeping
     from twistcap.io.result import read_result
     from twistcap.report.words import result_in_words
 
@@ -110,6 +111,8 @@ def run_refine(
     chosen = [e for e in result.estimates if span is None or span[0] <= e.index <= span[1]]
     views = _views(session, result.rig, [e.index for e in chosen], path)
     folder = terminal.output_folder(out)
+    with keeping(path, session.model_dump(mode="json")):
+        check_replaceable(folder / "refined.h5")  # before the work
     tracker, rig = session.tracker_settings, views.image_rig
     with terminal.status("refining") as report:
         refinement = refined(views, result.body, rig, chosen, config, tracker, report)
@@ -207,9 +210,11 @@ def write_again(path: Path, session: Any) -> None:
 
 def _files(path: Path, session: Any, views: Any) -> list[Path]:
     from twistcap.commands import outputs
+    from twistcap.io.files import keeping
     from twistcap.io.result import read_result
 
-    with words.status("writing plots, exports and the overlay"):
+    read = keeping(session.model_dump(mode="json"))
+    with words.status("writing plots, exports and the overlay"), read:
         return outputs.write_files(read_result(path), session, views, path.parent, f"{session.title} refined")
 
 

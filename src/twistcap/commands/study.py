@@ -66,8 +66,14 @@ def run_study(
     with WriteLock(folder / "trials.csv"):
         if overwrite:
             _forget(study, folder)
-        with here(workers) if cluster is None else on_cluster(cluster) as engine:
-            outcomes = dict(_outcomes(study, folder, engine))
+        outcomes: dict[Any, Outcome] = {}
+        try:
+            with here(workers) if cluster is None else on_cluster(cluster) as engine:
+                for key, outcome in _outcomes(study, folder, engine):
+                    outcomes[key] = outcome
+        except KeyboardInterrupt:
+            _list(study, folder, outcomes)
+            raise
         return _tables(study, folder, outcomes)
 
 
@@ -136,6 +142,8 @@ class Jobs:
 def _tell(name: str, outcome: Outcome, advance: terminal.Advance) -> None:
     if outcome.message:
         terminal.say(f"{name} failed: {outcome.message}")
+    if outcome.note:
+        terminal.say(f"{name}: {outcome.note}")
     advance(name)
 
 
@@ -148,7 +156,7 @@ def _tables(study: Study, folder: Path, outcomes: dict[Any, Outcome]) -> dict[st
     head = tidy.FRAME if study.about.output.over == "frame" else tidy.CYCLE
     files = [folder / "trials.csv", folder / "angles.csv"]
     with terminal.status("writing the tables"):
-        tidy.write_rows(files[0], ("subject", "trial", "status", "frames", "lost", "message"), _lines(study, outcomes))
+        _list(study, folder, outcomes)
         tidy.join(files[1], head, (rows_of(trial, folder) for trial in done))
         if find_spec("pyarrow") is not None:
             files.append(tidy.to_parquet(files[1]))
@@ -162,11 +170,21 @@ def _tables(study: Study, folder: Path, outcomes: dict[Any, Outcome]) -> dict[st
     return about | {"seconds": dict(seconds), "files": files}
 
 
+def _list(study: Study, folder: Path, outcomes: dict[Any, Outcome]) -> None:
+    """``trials.csv``: what came of each trial so far."""
+    from twistcap.io import tidy
+
+    head = "subject", "trial", "status", "frames", "lost", "message"
+    tidy.write_rows(folder / "trials.csv", head, _lines(study, outcomes))
+
+
 def _lines(study: Study, outcomes: dict[Any, Outcome]) -> Iterator[tuple[Any, ...]]:
+    from twistcap.commands.study_jobs import INTERRUPTED, Outcome
+
     for trial in study.trials:
-        outcome = outcomes[trial]
-        status = "failed" if outcome.message else "done"
-        yield trial.subject, trial.trial, status, outcome.frames, outcome.lost, outcome.message
+        outcome = outcomes.get(trial, Outcome(INTERRUPTED))
+        status = "open" if outcome.message == INTERRUPTED else "failed" if outcome.message else "done"
+        yield trial.subject, trial.trial, status, outcome.frames, outcome.lost, outcome.message or outcome.note
 
 
 def _show(document: dict[str, Any]) -> None:

@@ -28,19 +28,22 @@ from twistcap.io.files import write_lines
 from twistcap.io.result import Result, read_result
 from twistcap.io.session import Session
 from twistcap.io.session_tables import GlbBody
+from twistcap.io.start_report import frame_in_words
 from twistcap.io.study import BODY, StudyFile, StudyOutput, Trial
 
+INTERRUPTED = "interrupted; the same command goes on"
 STEPS = ("fit", "track", "refine", "files", "rows")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a job; `message` says why it failed."""
+    """What came of a job; `message` says why it failed, `note` what is to be said of one that did not."""
 
     message: str = ""
     frames: int = 0
     lost: int = 0
     seconds: Mapping[str, float] = field(default_factory=dict[str, float])  # by step, of those that ran
+    note: str = ""
 
 
 class Steps:
@@ -119,7 +122,7 @@ def run_trial(trial: Trial, about: StudyFile, study: Path) -> Outcome:
         result = _tracked(session, about, steps)
         rows = rows_of(trial, study)
         gave = steps.once("rows", rows, lambda _: _write_rows(rows, trial, read_result(result), about.output))
-        return Outcome("", gave["frames"], gave["lost"], steps.seconds)
+        return Outcome("", gave["frames"], gave["lost"], steps.seconds, frame_in_words(session))
 
     return _reported(trial.folder(study), work)
 
@@ -217,6 +220,8 @@ def _reported(folder: Path, work: Callable[[Path], Outcome]) -> Outcome:
     except InputError as error:
         return Outcome(str(error))
     except Exception as error:
+        if terminal.by_ctrl_c(error):
+            return Outcome(INTERRUPTED)
         with suppress(InputError):
             write_lines(trace, traceback.format_exc().splitlines())
         return Outcome(f"{type(error).__name__}: {error}; see {trace}")

@@ -179,11 +179,18 @@ def output_folder(path: str | Path) -> Path:
     return folder
 
 
-def output_file(path: Path, option: str, ending: str) -> None:
-    """See that a file has the ending of what is written, unless that is a folder, and make its folder."""
+def output_file(path: Path, option: str, ending: str, *read: Any) -> None:
+    """See that a file has the ending of what is written, unless that is a folder, and make its folder.
+
+    Raises InputError as `check_replaceable`; `read` are the files that the command reads, as `keeping` takes them.
+    """
+    from twistcap.io.files import check_replaceable, keeping
+
     special = path.exists() and not path.is_file() and not path.is_dir()  # such as /dev/stdout
     if ending and not path.name.lower().endswith(ending) and not special:
         raise InputError(f"{option} is {path}; name a file that ends in {ending}.")
+    with keeping(*read):
+        check_replaceable(path)
     output_folder(path.parent)
 
 
@@ -195,12 +202,14 @@ def check_free(*paths: Path, overwrite: bool) -> None:
 
 
 def frame_range(text: str | None, option: str = "--frames") -> tuple[int, int] | None:
-    """``10:20`` as frames 10 to 20, both included. Raises InputError where it reads otherwise."""
+    """``10:20`` as frames 10 to 20, both included. Raises InputError where it reads otherwise, or is reversed."""
     if text is None:
         return None
     first, colon, last = text.partition(":")
     if not (colon and first.isdigit() and last.isdigit()):
         raise InputError(f"{option} is {text!r}; write FIRST:LAST, both included, such as 0:99.")
+    if int(first) > int(last):
+        raise InputError(f"{option} is {text!r}, a range that is reversed; write {last}:{first}.")
     return int(first), int(last)
 
 

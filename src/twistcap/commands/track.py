@@ -88,7 +88,9 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
     """Track a session into a folder; what ``--json`` prints."""
     from twistcap.commands.cameras import mend_in_words, places_and_clocks
     from twistcap.commands.clocks import clocks_in_words, suspects
+    from twistcap.commands.outputs import own_files
     from twistcap.io.exports import check_installed
+    from twistcap.io.files import check_replaceable, keeping
     from twistcap.io.lock import WriteLock
     from twistcap.io.result import read_result
     from twistcap.report.words import beside_in_words, result_in_words
@@ -97,7 +99,9 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
     norms = session.output.gait_norms  # a file that cannot be read is refused before the work
     check_installed(session.output.exports)
     terminal.tell_compiling()
-    with WriteLock(path) as lock:
+    unread = {"first_pose"} if begin.resume else None
+    with WriteLock(path) as lock, keeping(session.model_dump(mode="json", exclude=unread)):
+        check_replaceable(path, *own_files(folder, session.output.exports))  # before the work
         views, timing, watched = _tracked(session, path, begin, lock)
         result = read_result(path)
         with words.status("comparing the cameras' clocks"):
@@ -121,6 +125,7 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
     """The views, how long it took, and what was watched of the cameras."""
     from twistcap.commands.clocks import watched_by
     from twistcap.commands.follow import held
+    from twistcap.commands.outputs import remove_older
     from twistcap.commands.start import show_start
     from twistcap.io.provenance import made_of
     from twistcap.io.recording import body_in_words, open_recording, rate_in_words
@@ -132,6 +137,8 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
     if done is not None:
         mend = "go on with --resume, replace them with --overwrite, or choose another --out"
         raise InputError(f"{path} holds {len(done)} tracked frames; {mend}.")
+    if begin.resume:
+        terminal.say(f"{path} holds no tracked frame: there is nothing to resume, and tracking begins anew")
     with words.status("reading the session, fitting the first pose"):
         if said := body_in_words(session):  # first, since it may be why there is no first pose
             terminal.say(said)
@@ -146,6 +153,8 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
     tracker = session_tracker(session, recording.body, views, watch=True)
     tracker.start(recording.first_pose, recording.first_time)
     config = session.model_dump(mode="json")
+    if path.exists():
+        remove_older(path, session.output.exports)
     with ResultWriter(path, recording.body, recording.rig, config, made, len(views), lock) as writer:
         kept = _kept(_shown(session, views), tracker, writer, path, given=recording.first_pose)
         return views, kept, watched_by(tracker)
@@ -226,7 +235,8 @@ def _kept(views: Any, tracker: Any, writer: Any, path: Path, passed: Iterable[An
     except (KeyboardInterrupt, SystemError) as error:  # numba's kernels make the second of the first
         if not terminal.by_ctrl_c(error):
             raise
-        terminal.say(f"interrupted: the first {len(writer)} frames are kept in {path}; go on with --resume")
+        kept = f"the first {len(writer)} frames are kept in {path}; go on with --resume"
+        terminal.say(f"interrupted: {kept if len(writer) else 'no frame was tracked yet; begin anew'}")
         raise typer.Exit(130) from None
 
 

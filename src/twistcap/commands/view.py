@@ -50,7 +50,7 @@ def view(
     if json and save is None:
         raise InputError("view: --json goes with --save; a page that is served has no document.")
     if save is not None:
-        terminal.output_file(save, "--save", ".html")
+        terminal.output_file(save, "--save", ".html", results, reference, session)
     page = _page(list(map(terminal.result_file, results)), reference, session, width, images)
     if save is None:
         serve(page, {}, port)

@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from twistcap.arrays import AnyArray, Float
+from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.body import Body, Posed
 from twistcap.camera import Camera, Rectifier
 from twistcap.doors.images import read_image
@@ -66,7 +66,9 @@ class Evaluation:
     angles: Errors | None = None  # angle errors, degrees, where it has coordinates
     overlaps: list[Overlap] = field(default_factory=list[Overlap])  # IoU by mask, where it is a folder of masks
     lost_frames: list[int] = field(default_factory=list[int])  # by the reference (`metrics.lost_frames`)
-    notes: tuple[str, ...] = ()  # assumptions
+    frames: int = 0  # that are compared
+    unknown_frames: list[int] = field(default_factory=list[int])  # of these, lost or unseen as the tracker says
+    notes: tuple[str, ...] = ()  # assumptions, and what counts
     agreements: list[Agreement] = field(default_factory=list[Agreement])  # degrees, as exports have them
 
     @property
@@ -81,6 +83,7 @@ class Evaluation:
         by_name = {key: found.by_name() if found else {} for key, found in errors.items()}
         masks = [vars(overlap) for overlap in self.overlaps]
         rest = {"masks": masks, "lost_frames": self.lost_frames, "notes": list(self.notes)}
+        rest |= {"compared_frames": self.frames, "unknown_frames": self.unknown_frames}
         tables = {"agreements_deg": self.agreements, "distances_mm": self.distances}
         each = {key: [vars(entry) for entry in table] for key, table in tables.items()}
         return {"case": self.case, "rows": self.rows, **by_name, **each, **rest}
@@ -154,7 +157,19 @@ def compare(result: Result, truth: Reference, case: str, source: str = "the refe
         rows.append(row(case, "lost sequence", float(metrics.lost_sequence(joints.raw)), "of 1"))
     rows.append(row(case, "lost frames, by the tracker itself", float(np.sum(result.lost)), "frames"))
     agreed = _agreements(result.body, coordinates) if coordinates else []
-    return Evaluation(case, rows, joints, coordinates, lost_frames=lost, notes=truth.notes, agreements=agreed)
+    known = [np.isfinite(found.raw).any(axis=1) for found in (joints, coordinates) if found]
+    out = Evaluation(case, rows, joints, coordinates, lost_frames=lost, notes=truth.notes, agreements=agreed)
+    return _counted(out, result, np.any(known, axis=0))
+
+
+def _counted(found: Evaluation, result: Result, compared: Bool) -> Evaluation:
+    """With the frames (N,) that were compared, and a note where the tracker itself does not believe all of them."""
+    frames, unknown = int(compared.sum()), np.asarray(result.indices)[compared & ~result.known].tolist()
+    found = replace(found, frames=frames, unknown_frames=unknown)
+    if not unknown:
+        return found
+    fact = f"{len(unknown)} of {frames} compared frames are lost or unseen, as the tracker says"
+    return replace(found, notes=(*found.notes, f"{fact}; they count like all others"))
 
 
 def _expect_common(result: Result, truth: Reference, own: Angles, times: Float, source: str) -> None:
@@ -254,7 +269,8 @@ def _against_masks(result: Result, folder: Path, case: str) -> Evaluation:
     values = [overlap.iou for overlap in overlaps]
     measures |= {"mean": np.mean(values), "least": np.min(values)}
     rows = [row(case, f"IoU, {name}", float(value), "") for name, value in measures.items()]
-    return Evaluation(case, rows, overlaps=overlaps)
+    compared = np.isin(result.indices, [overlap.frame for overlap in overlaps])
+    return _counted(Evaluation(case, rows, overlaps=overlaps), result, compared)
 
 
 def _overlaps(result: Result, folder: Path) -> Iterator[Overlap]:

@@ -22,7 +22,7 @@ from twistcap.errors import InputError, check, check_choice
 from twistcap.io.bvh import write_bone_bvh, write_bvh
 from twistcap.io.c3d import write_c3d
 from twistcap.io.coordinates import ANGLES, Angles
-from twistcap.io.files import replacing, unwritable, write_lines
+from twistcap.io.files import check_replaceable, replacing, unwritable, write_lines
 from twistcap.io.markers import TO_FILE, WorldAxes, write_trc
 from twistcap.io.motion_files import write_csv, write_mot
 from twistcap.io.opensim_package import write_opensim
@@ -90,6 +90,7 @@ class ExportFormat:
     about: str  # what is in it, in a few words for the report
     write: Callable[[Result, Path, ExportOptions], Any]
     takes: tuple[str, ...] = ("axes", "angles")  # the options that change it, beside `fill`
+    beside: tuple[str, ...] = ()  # usual names of more files
 
 
 def format_of(name: str) -> ExportFormat:
@@ -128,6 +129,7 @@ def export(
         check(f"export: {key}", not given or key in chosen.takes, f"{name} takes none; leave it away")
     check("export: rig", options.rig is None or options.into is not None, "it is that of the GLB of into; give both")
     path = path or folder / chosen.file_name
+    check_replaceable(path)
     try:
         chosen.write(result, path, options)
     except OSError as error:  # of an installed format; ours raise InputError
@@ -179,7 +181,9 @@ def _write_mot(result: Result, path: Path, o: ExportOptions) -> None:
 
 trc = ExportFormat("joints.trc", "joint centres (OpenSim, Mokka)", _write_landmarks, ("axes",))
 mot = ExportFormat("angles.mot", "joint angles (OpenSim)", _write_mot)
-bvh = ExportFormat("motion.bvh", "skeleton and motion (Blender, MotionBuilder)", _write_bvh, _PLAYED)
+bvh = ExportFormat(
+    "motion.bvh", "skeleton and motion (Blender, MotionBuilder)", _write_bvh, _PLAYED, ("motion.flags.json",)
+)
 csv = ExportFormat(
     "angles.csv", "joint angles and their standard deviations",
     lambda result, path, options: write_csv(path, result, options.axes, options.angles, options.fill),

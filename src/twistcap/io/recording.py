@@ -42,7 +42,7 @@ from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
 from twistcap.io.session import Session
 from twistcap.io.session_tables import CameraGrid, DetectorTable, GlbBody, HumanoidBody, KeypointSet
-from twistcap.io.start_report import StartReport, start_report
+from twistcap.io.start_report import StartReport, frame_in_words, start_report
 from twistcap.io.unaided import found_unaided, start_in_words
 from twistcap.io.video import Views, check_names, open_source, open_views
 
@@ -58,7 +58,7 @@ class Recording:
     views: Views  # the frames; `views.image_rig` are the cameras of their images
     body: Body  # at the fitted lengths
     first_pose: Pose  # the pose of the first frame
-    note: str = ""  # how it was found, where that must be said
+    note: str = ""  # how it was found, or of which frame it is, where that must be said
     report: StartReport | None = None  # how well it fits, where it was fitted to keypoints or clicks
 
     @property
@@ -76,7 +76,7 @@ def open_recording(session: Session, body: Body | None = None) -> Recording:
     body = body_of(session) if body is None else body
     if not session.first_pose.unaided:
         start, pose = _first_pose(session, rig, body, views)
-        return Recording(session, rig, views, start.body, pose, report=start.report)
+        return Recording(session, rig, views, start.body, pose, frame_in_words(session), start.report)
     check_z_up(rig, f"calibration {session.cameras.calibration}")
     shown = _shown_from(session, rig, views)
     proof = found_unaided(session, body, shown, floor_of(session))

@@ -69,6 +69,15 @@ def start_report(session: Session, rig: Rig, generic: Body, keypoints: Keypoints
     return StartReport(fit.cameras, fit.names, fit.residual_px, stature, stated, lengths, tuple(warnings))
 
 
+def frame_in_words(session: Session) -> str:
+    """That the first pose is of another frame than the first one; "" where it is not, or `frame` does not say so."""
+    of, first = session.first_pose.frame, (session.frames or (0,))[0]
+    if session.first_pose.file is None or of is None or of == first:
+        return ""
+    fact = f"the first pose is of frame {of}, and tracking begins at frame {first}: the person may be lost"
+    return f"{session.source}: {fact}; give a first pose of frame {first}, or begin at frame {of}."
+
+
 def rest_height(body: Body) -> float:
     """Height of the surface in the rest pose, m."""
     return float(np.ptp(body.vertices[:, 2]))
