@@ -24,6 +24,7 @@ from twistcap.body.shape import segment_axes
 from twistcap.camera import pinhole
 from twistcap.errors import InputError
 from twistcap.io.calibration import write_rig
+from twistcap.io.pose_file import frame_of
 from twistcap.io.recording import rig_of
 from twistcap.io.session import load_session
 from twistcap.render import contour_on_edges, render
@@ -331,6 +332,7 @@ def test_the_command_writes_a_session_that_tracks(tmp_path, capsys) -> None:
     assert 0 < by_case["after", "surface to silhouette, mean", "mm"] < 15
     assert by_case["after", "IoU with the segmentation", ""] > 0.7
     assert 0.8 < found["factors"]["stature"] < 1.2
+    assert frame_of(out / "first_pose.json") == 0
     assert run("track", out / "session.toml", "--frames", "0:1", "--out", tmp_path / "track") == 0
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from twistcap.io.motion_library import write_library
 from twistcap.io.pose_file import read_pose, write_pose
 from twistcap.io.recording import body_of, check_first_pose, keypoints_of, open_recording, rig_of
 from twistcap.io.session import Session, load_session
+from twistcap.io.start_report import other_frame_in_words
 from twistcap.motion import MotionClip, MotionLibrary
 
 SESSION = """
@@ -200,6 +202,15 @@ def test_body_and_first_pose(path: Path) -> None:
     read = read_pose(path.parent / "pose.json", body)
     np.testing.assert_allclose(read.q, q)
     np.testing.assert_allclose(read.root, root)
+
+
+@pytest.mark.parametrize(("frame", "said"), [(None, False), (2, False), (0, True), ("0", False)])
+def test_a_pose_that_says_its_frame_is_held_against_the_first_one(path: Path, frame: Any, said: bool) -> None:
+    session = load_session(path)  # from frame 2
+    body = body_of(session)
+    write_pose(path.parent / "pose.json", body, Pose.rest(body), frame=frame)
+    words = "is of frame 0, and tracking begins at frame 2"
+    assert (words in other_frame_in_words(session)) == said == bool(other_frame_in_words(session))
 
 
 def test_first_pose_must_be_possible(path: Path) -> None:

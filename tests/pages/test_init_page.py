@@ -25,7 +25,7 @@ from twistcap.commands.init import save as saved
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
 from twistcap.io import detectors
-from twistcap.io.pose_file import body_at, write_pose
+from twistcap.io.pose_file import body_at, frame_of, write_pose
 from twistcap.io.recording import open_recording
 from twistcap.io.session import load_session
 from twistcap.io.start_report import start_report
@@ -313,6 +313,7 @@ def test_a_session_that_reads_another_file_is_told_what_to_change(made: Path) ->
     try:
         assert Path(saved["saved"]).is_file()
         assert 'file = "first_pose.json"' in saved["note"]
+        assert frame_of(saved["saved"]) == 0
         with pytest.raises(InputError, match="--out"):
             clicking_of(load_session(path), path)
     finally:

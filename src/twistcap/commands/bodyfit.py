@@ -90,10 +90,10 @@ def _written(fitted: Fitted, recording: Recording, source: Path, folder: Path) -
     """The body, the first pose, and a session that takes both (unless the first session has a base itself)."""
     body, pose, session = _goals(folder)
     save_glb(fitted.body, body)
-    write_pose(pose, fitted.body, fitted.first_poses[0])
+    first = recording.views.indices[0]
+    write_pose(pose, fitted.body, fitted.first_poses[0], frame=first)
     if "base" in read_toml(source, "session"):
         return [body, pose]
-    first = recording.views.indices[0]
     text = f"# {source.name} with the body of twistcap body fit. Its pose is that of frame {first}.\n"
     text += f'base = {_quoted(source)}\n\n[body]\nkind = "glb"\npath = {_quoted(body)}\n\n'
     session.write_text(text + f"[first_pose]\nfile = {_quoted(pose)}\n", encoding="utf-8")

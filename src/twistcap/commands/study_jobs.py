@@ -28,7 +28,7 @@ from twistcap.io.files import write_lines
 from twistcap.io.result import Result, read_result
 from twistcap.io.session import Session
 from twistcap.io.session_tables import GlbBody
-from twistcap.io.start_report import frame_in_words
+from twistcap.io.start_report import other_frame_in_words
 from twistcap.io.study import BODY, StudyFile, StudyOutput, Trial
 
 INTERRUPTED = "interrupted; the same command goes on"
@@ -122,7 +122,7 @@ def run_trial(trial: Trial, about: StudyFile, study: Path) -> Outcome:
         result = _tracked(session, about, steps)
         rows = rows_of(trial, study)
         gave = steps.once("rows", rows, lambda _: _write_rows(rows, trial, read_result(result), about.output))
-        return Outcome("", gave["frames"], gave["lost"], steps.seconds, frame_in_words(session))
+        return Outcome("", gave["frames"], gave["lost"], steps.seconds, other_frame_in_words(session))
 
     return _reported(trial.folder(study), work)
 

@@ -26,12 +26,13 @@ _MANY: Schema = {"root": real("N", 4, 4), "q": real("N", "J"), "coordinate_names
 _FARTHEST = 1e3  # m or rad
 
 
-def write_pose(path: str | Path, body: Body, pose: Pose, proportions: Proportions | None = None) -> None:
-    """Write JSON ``{"root": 4×4, "q": {coordinate: rad}}`` and, where given, the body's ``"proportions"``.
-
-    These are the factors that made `body` from the generic one.
+def write_pose(
+    path: str | Path, body: Body, pose: Pose, proportions: Proportions | None = None, frame: int | None = None
+) -> None:  # fmt: skip
+    """Write JSON ``{"root": 4×4, "q": {coordinate: rad}}`` and, where given, the ``"frame"`` of which it is, and the
+    body's ``"proportions"``: the factors that made `body` from the generic one.
     """
-    content: dict[str, Any] = {"root": pose.root.tolist()}
+    content: dict[str, Any] = {"root": pose.root.tolist()} | ({} if frame is None else {"frame": frame})
     content["q"] = {name: float(value) for name, value in zip(body.coordinate_names, pose.q, strict=True)}
     if proportions is not None:
         content["proportions"] = asdict(proportions)
@@ -56,6 +57,13 @@ def read_proportions(path: str | Path) -> Proportions | None:
     if not all(0.1 <= factor <= 10 for factor in (found.stature, *lengths.values(), *girths.values())):
         raise InputError(f"{where}: a factor is not between 0.1 and 10.")
     return found
+
+
+def frame_of(path: str | Path) -> int | None:
+    """The frame of which a JSON file says that its pose is; None where it does not say, or is no such file."""
+    path = Path(path)
+    found = read_json_table(path).get("frame") if path.suffix.lower() == ".json" and path.is_file() else None
+    return found if isinstance(found, int) else None
 
 
 def body_at(path: str | Path, body: Body) -> Body:

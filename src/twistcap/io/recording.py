@@ -42,7 +42,7 @@ from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
 from twistcap.io.session import Session
 from twistcap.io.session_tables import CameraGrid, DetectorTable, GlbBody, HumanoidBody, KeypointSet
-from twistcap.io.start_report import StartReport, frame_in_words, start_report
+from twistcap.io.start_report import StartReport, other_frame_in_words, start_report
 from twistcap.io.unaided import found_unaided, start_in_words
 from twistcap.io.video import Views, check_names, open_source, open_views
 
@@ -76,7 +76,7 @@ def open_recording(session: Session, body: Body | None = None) -> Recording:
     body = body_of(session) if body is None else body
     if not session.first_pose.unaided:
         start, pose = _first_pose(session, rig, body, views)
-        return Recording(session, rig, views, start.body, pose, frame_in_words(session), start.report)
+        return Recording(session, rig, views, start.body, pose, other_frame_in_words(session), start.report)
     check_z_up(rig, f"calibration {session.cameras.calibration}")
     shown = _shown_from(session, rig, views)
     proof = found_unaided(session, body, shown, floor_of(session))

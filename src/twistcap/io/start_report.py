@@ -20,6 +20,7 @@ from twistcap.body.model import unsided
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
+from twistcap.io.pose_file import frame_of
 from twistcap.io.session import Session
 from twistcap.io.session_tables import GlbBody, HumanoidBody
 
@@ -69,10 +70,11 @@ def start_report(session: Session, rig: Rig, generic: Body, keypoints: Keypoints
     return StartReport(fit.cameras, fit.names, fit.residual_px, stature, stated, lengths, tuple(warnings))
 
 
-def frame_in_words(session: Session) -> str:
-    """That the first pose is of another frame than the first one; "" where it is not, or `frame` does not say so."""
-    of, first = session.first_pose.frame, (session.frames or (0,))[0]
-    if session.first_pose.file is None or of is None or of == first:
+def other_frame_in_words(session: Session) -> str:
+    """That the first pose is of another frame than the first one; "" where it is not, or nothing says of which."""
+    table, first = session.first_pose, (session.frames or (0,))[0]
+    of = None if table.file is None else frame_of(table.file) if table.frame is None else table.frame
+    if of is None or of == first:
         return ""
     fact = f"the first pose is of frame {of}, and tracking begins at frame {first}: the person may be lost"
     return f"{session.source}: {fact}; give a first pose of frame {first}, or begin at frame {of}."

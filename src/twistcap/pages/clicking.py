@@ -137,7 +137,8 @@ class Clicking:
         try:
             self.target.path.parent.mkdir(parents=True, exist_ok=True)
             if self.target.kind == "file":
-                write_pose(self.target.path, self.shown.body, self.shown.pose, self.proportions)
+                first = (self.session.frames or (0,))[0]
+                write_pose(self.target.path, self.shown.body, self.shown.pose, self.proportions, first)
                 write_clicks(clicks_beside(self.target.path), self.clicks)
             else:
                 write_clicks(self.target.path, self.clicks)
