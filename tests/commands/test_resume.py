@@ -254,6 +254,8 @@ def test_interrupt_keeps_the_result(
     assert "the first 3 frames are kept" in " ".join(capsys.readouterr().err.split())
     assert len(read_result(tmp_path / "result.h5")) == 3
     assert run("export", tmp_path, "--to", "csv") == 0 and "holds 3 of 8 frames" in capsys.readouterr().err
+    assert run("export", tmp_path, "--to", "csv", "--frames", "1:9") == 0
+    assert "has frames 0 to 2 alone, not all of 1:9" in capsys.readouterr().err
     assert "the track holds 3 of 8 frames" in result_in_words(read_result(tmp_path / "result.h5"))
 
 

@@ -57,6 +57,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("studio notes.txt", "folder notes.txt cannot be made: File exists; choose another folder."),
         ("export result.h5 --to trc --frames 100:200", "no frame in 100:200; it has 0 to 2, see --frames."),
         ("export result.h5 --to trc --frames 2:1", "--frames is '2:1', a range that is reversed; write 1:2."),
+        ("studio new --frames 20 --drop 15:20", "--drop: it ends at 20, but the last frame is 19."),
         ("studio new --drop 12:9", "--drop is '12:9', a range that is reversed; write 9:12."),
         ("gait result.h5 --norms none.json", "none.json cannot be read: No such file or directory; check its path."),
         ("motions show empty", "twistcap: empty cannot be read: it is no file; check its path."),

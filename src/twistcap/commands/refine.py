@@ -106,6 +106,7 @@ def run_refine(
     from twistcap.report.words import result_in_words
 
     result = terminal.tracked(path)
+    terminal.tell_range(path, result, span)
     config = dataclass_from(RefineConfig, settings or {}, "--set", "refine")
     session = session or _session(result, path)
     chosen = [e for e in result.estimates if span is None or span[0] <= e.index <= span[1]]

@@ -49,6 +49,10 @@ def studio(
     for option, value in (("--fps", fps), ("--speed", speed)):
         check(option, 0 < value < float("inf"), f"it is {value:g}; give a number above 0")
     spans = [terminal.frame_range(text, "--drop") for text in drop or []]
+    for span in spans:
+        check(
+            "--drop", not span or span[1] < frames, f"it ends at {span and span[1]}, but the last frame is {frames - 1}"
+        )
     config = StudioConfig(
         seed=seed, views=views, size=terminal.image_size(size), frames=frames, fps=fps, hard=hard,
         condition=cast(Condition, condition), one_colour=one_colour, colour=not grey, speed_factor=speed,

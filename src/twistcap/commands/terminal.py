@@ -237,9 +237,17 @@ def tracked(path: Path, frames: str | None = None) -> Result:
     if not len(result):
         held = f" in {frames}; it has {whole.indices[0]} to {whole.indices[-1]}, see --frames" if len(whole) else ""
         raise InputError(f"result file {path} has no frame{held}.")
+    tell_range(path, whole, span)
     if result.unfinished:
         say(f"{path} {result.unfinished}; `twistcap track` goes on with --resume")
     return result
+
+
+def tell_range(path: Path, whole: Result, span: tuple[int, int] | None) -> None:
+    """A sentence where frames are asked for that a result does not have, beside those that it has."""
+    first, last = whole.indices[[0, -1]]
+    if span and (span[0] < first or span[1] > last):
+        say(f"{path} has frames {first} to {last} alone, not all of {span[0]}:{span[1]}")
 
 
 def names_in(text: str | None) -> list[str] | None:

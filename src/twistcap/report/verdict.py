@@ -34,8 +34,8 @@ _DOUBT = 0.2  # probability of loss from which a frame that is not lost is named
 _USABLE = 0.9  # share of the frames
 _SIDES = {"r": "right", "l": "left"}
 TURNS = (
-    "Turns of thighs and upper arms about their long axes can be more wrong than their σ says: they hardly change what "
-    "cameras see."
+    "Turns of thighs, upper arms and forearms about their long axes can be more wrong than their σ says: they hardly "
+    "change what cameras see."
 )
 """What claims do not cover; measured in docs/concepts/covariance.md."""
 _CAVEAT = (
