@@ -23,7 +23,8 @@ from twistcap.differential.model import DifferentialModel
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.hindsight import Again, Hindsight, LookBack, Passed, back, looked_back, tracked
-from twistcap.hindsight.passed import evidence_in, with_limbs
+from twistcap.hindsight.back import looked_again
+from twistcap.hindsight.passed import corrected, evidence_in, with_limbs
 from twistcap.io.result import ResultWriter, read_result
 from twistcap.io.result_schema import COLUMNS
 from twistcap.search.doubt import DoubtRule
@@ -55,6 +56,21 @@ def test_frames_with_a_wrong_arm_are_put_right_and_no_others(limb: str | None) -
     poses = [m.pose for m in after.past.moments]
     assert all(np.array_equal(poses[e.index].q, e.pose.q) for e in better)
     assert all(np.array_equal(poses[k].q, passed[k].estimate.pose.q) for k in range(WRONG.start))
+
+
+def test_a_limb_that_was_found_turned_is_right_after_the_corrected_frames() -> None:
+    """A search puts a thigh in its place, but turned by 40°; the frames before say how it is turned."""
+    scene, model, passed, _, state = walk()
+    last, right = passed[-1], [p.estimate for p in passed[:-1]]
+    q = last.estimate.pose.q.copy()
+    q[hip := scene.body.coordinate("hip_rotation_r")] -= np.deg2rad(40.0)
+    turned = replace(last.estimate, pose=Pose(last.estimate.pose.root, q))
+    found = corrected(with_poses(state, passed[:-1], turned.pose), right)
+    after, again = looked_again(LookBack(), model, found, last.frame, turned)
+    assert abs(again.pose.q[hip] - scene.true_poses[-1].q[hip]) < np.deg2rad(5.0)
+    assert np.array_equal(after.past.last.q, again.pose.q) and len(after.past.moments) == len(found.past.moments)
+    same, as_it_was = looked_again(LookBack(), model, state, last.frame, last.estimate)
+    assert same is state and as_it_was is last.estimate
 
 
 def test_what_was_found_wrongly_corrects_nothing() -> None:

@@ -1,7 +1,8 @@
 """Frames that have passed are corrected by what is found out later; what is known of them in the end.
 
-`back` tracks them again from what a search has found, `between` from where a limb was before and after it went astray.
-`returned` doubts a limb that more cameras show elsewhere in the frames that one alone saw.
+`back` tracks them again from what a search has found, and that frame once more after them; `between` from where a limb
+was before and after it went astray. `returned` doubts a limb that more cameras show elsewhere in the frames that one
+alone saw.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from twistcap.cues import Cue
 from twistcap.differential.model import DifferentialModel
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
-from twistcap.hindsight.back import LookBack, looked_back
+from twistcap.hindsight.back import LookBack, looked_again, looked_back
 from twistcap.hindsight.between import looked_between
 from twistcap.hindsight.passed import Again, Passed
 from twistcap.hindsight.returned import doubted
@@ -46,7 +47,9 @@ class Hindsight:
             return [], estimate
         with stage("look back"):
             tracker.state, corrected = looked_back(self.rule, tracker.model, before, tracker.state, self._passed)
-            if not corrected:
+            if corrected:
+                tracker.state, estimate = looked_again(self.rule, tracker.model, tracker.state, frame, estimate)
+            else:
                 tracker.state, corrected = looked_between(tracker.model, tracker.state, self._passed, estimate)
             corrected = corrected or doubted(tracker.model, before, tracker.state, self._passed, estimate)
         for k, better in enumerate(reversed(corrected), 1):

@@ -15,7 +15,7 @@ import numpy as np
 
 from twistcap.arrays import Bool
 from twistcap.body.limbs import limbs
-from twistcap.estimate import UNSEEN, Estimate
+from twistcap.estimate import UNSEEN, Estimate, Frame
 from twistcap.hindsight.passed import (
     Again,
     Passed,
@@ -95,6 +95,22 @@ def looked_back(
     best = ways[int(np.argmax(nats))]
     better = [again.estimate for again in best[: int(np.argmax(sums(best))) + 1]]
     return corrected(state, better[::-1]), better[::-1]
+
+
+def looked_again(
+    rule: LookBack, model: Model, state: State, frame: Frame, estimate: Estimate
+) -> tuple[State, Estimate]:  # fmt: skip
+    """The frame in which something was found, tracked once more after the corrected ones before it, where the pictures
+    favour that. A search puts a limb in its place, but may leave it turned about its long axis; backward, its joints
+    came right.
+    """
+    before = replace(state.past, moments=state.past.moments[:-1], seen_time=state.past.moments[-2].time)
+    again, second = step(begun(model, state, before), frame, model)
+    if second.status in (*UNSEEN, "failed"):
+        return state, estimate
+    evidence = evidence_in(model, state, Passed(frame, estimate))
+    better = evidence.of(second.pose) >= evidence.of(estimate.pose) + rule.gain
+    return (again, second) if better else (state, estimate)
 
 
 def _put_elsewhere(model: Model, before: State, after: State) -> Bool:
