@@ -60,16 +60,16 @@ def test_frames_with_a_wrong_arm_are_put_right_and_no_others(limb: str | None) -
 
 def test_a_limb_that_was_found_turned_is_right_after_the_corrected_frames() -> None:
     """A search puts a thigh in its place, but turned by 40°; the frames before say how it is turned."""
-    scene, model, passed, _, state = walk()
+    scene, model, passed, before, state = walk()
     last, right = passed[-1], [p.estimate for p in passed[:-1]]
     q = last.estimate.pose.q.copy()
     q[hip := scene.body.coordinate("hip_rotation_r")] -= np.deg2rad(40.0)
     turned = replace(last.estimate, pose=Pose(last.estimate.pose.root, q))
     found = corrected(with_poses(state, passed[:-1], turned.pose), right)
-    after, again = looked_again(LookBack(), model, found, last.frame, turned)
+    after, again = looked_again(LookBack(), model, before, found, last.frame, turned)
     assert abs(again.pose.q[hip] - scene.true_poses[-1].q[hip]) < np.deg2rad(5.0)
     assert np.array_equal(after.past.last.q, again.pose.q) and len(after.past.moments) == len(found.past.moments)
-    same, as_it_was = looked_again(LookBack(), model, state, last.frame, last.estimate)
+    same, as_it_was = looked_again(LookBack(), model, before, state, last.frame, last.estimate)
     assert same is state and as_it_was is last.estimate
 
 

@@ -48,7 +48,7 @@ class Hindsight:
         with stage("look back"):
             tracker.state, corrected = looked_back(self.rule, tracker.model, before, tracker.state, self._passed)
             if corrected:
-                tracker.state, estimate = looked_again(self.rule, tracker.model, tracker.state, frame, estimate)
+                tracker.state, estimate = looked_again(self.rule, tracker.model, before, tracker.state, frame, estimate)
             else:
                 tracker.state, corrected = looked_between(tracker.model, tracker.state, self._passed, estimate)
             corrected = corrected or doubted(tracker.model, before, tracker.state, self._passed, estimate)

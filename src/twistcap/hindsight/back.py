@@ -98,14 +98,14 @@ def looked_back(
 
 
 def looked_again(
-    rule: LookBack, model: Model, state: State, frame: Frame, estimate: Estimate
+    rule: LookBack, model: Model, before: State, state: State, frame: Frame, estimate: Estimate
 ) -> tuple[State, Estimate]:  # fmt: skip
     """The frame in which something was found, tracked once more after the corrected ones before it, where the pictures
     favour that. A search puts a limb in its place, but may leave it turned about its long axis; backward, its joints
-    came right.
+    came right. The states are those before the frame, and after it and the correction.
     """
-    before = replace(state.past, moments=state.past.moments[:-1], seen_time=state.past.moments[-2].time)
-    again, second = step(begun(model, state, before), frame, model)
+    past = replace(before.past, moments=state.past.moments[:-1])
+    again, second = step(begun(model, before, past), frame, model)
     if second.status in (*UNSEEN, "failed"):
         return state, estimate
     evidence = evidence_in(model, state, Passed(frame, estimate))
