@@ -204,7 +204,7 @@ def test_body_and_first_pose(path: Path) -> None:
     np.testing.assert_allclose(read.root, root)
 
 
-@pytest.mark.parametrize(("frame", "said"), [(None, False), (2, False), (0, True), ("0", False)])
+@pytest.mark.parametrize(("frame", "said"), [(None, False), (2, False), (0, True), (True, False), ("0", False)])
 def test_a_pose_that_says_its_frame_is_held_against_the_first_one(path: Path, frame: Any, said: bool) -> None:
     session = load_session(path)  # from frame 2
     body = body_of(session)

@@ -143,7 +143,7 @@ def test_a_claim_is_the_variance_of_what_the_gain_makes_of_prediction_and_images
 
 
 def test_of_pictures_that_fit_worse_and_worse_no_larger_shared_error_is_claimed() -> None:
-    """Residuals of three times their noise; those of a real recording are as large, and its body is 20 mm off."""
+    """Residuals of three times their noise; those of a real recording are as large."""
     posed, terms = contours()
     terms = [moved(term, np.full(len(term.weight), 3.0 * NOISE_PX)) for term in terms]
     information, together = information_of(terms, posed), shared_variance(terms, posed)

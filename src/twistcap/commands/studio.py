@@ -48,15 +48,13 @@ def studio(
     check_choice("--condition", condition, ("exact", "mismatch"))
     for option, value in (("--fps", fps), ("--speed", speed)):
         check(option, 0 < value < float("inf"), f"it is {value:g}; give a number above 0")
-    spans = [terminal.frame_range(text, "--drop") for text in drop or []]
-    for span in spans:
-        check(
-            "--drop", not span or span[1] < frames, f"it ends at {span and span[1]}, but the last frame is {frames - 1}"
-        )
+    spans = [span for text in drop or [] if (span := terminal.frame_range(text, "--drop"))]
+    for _, last in spans:
+        check("--drop", last < frames, f"it ends at {last}, but the last frame is {frames - 1}")
     config = StudioConfig(
         seed=seed, views=views, size=terminal.image_size(size), frames=frames, fps=fps, hard=hard,
         condition=cast(Condition, condition), one_colour=one_colour, colour=not grey, speed_factor=speed,
-        dropped=tuple(s for s in spans if s), uniform_noise=noise, rectangles=rectangles, occluders=occluders,
+        dropped=tuple(spans), uniform_noise=noise, rectangles=rectangles, occluders=occluders,
         motion_blur=blur,
     )  # fmt: skip
     terminal.output_folder(out)

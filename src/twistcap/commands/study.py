@@ -69,8 +69,7 @@ def run_study(
         outcomes: dict[Any, Outcome] = {}
         try:
             with here(workers) if cluster is None else on_cluster(cluster) as engine:
-                for key, outcome in _outcomes(study, folder, engine):
-                    outcomes[key] = outcome
+                outcomes.update(_outcomes(study, folder, engine))
         except KeyboardInterrupt:
             _list(study, folder, outcomes)
             raise

@@ -63,7 +63,7 @@ def frame_of(path: str | Path) -> int | None:
     """The frame of which a JSON file says that its pose is; None where it does not say, or is no such file."""
     path = Path(path)
     found = read_json_table(path).get("frame") if path.suffix.lower() == ".json" and path.is_file() else None
-    return found if isinstance(found, int) else None
+    return found if type(found) is int else None
 
 
 def body_at(path: str | Path, body: Body) -> Body:

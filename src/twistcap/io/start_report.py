@@ -73,7 +73,9 @@ def start_report(session: Session, rig: Rig, generic: Body, keypoints: Keypoints
 def other_frame_in_words(session: Session) -> str:
     """That the first pose is of another frame than the first one; "" where it is not, or nothing says of which."""
     table, first = session.first_pose, (session.frames or (0,))[0]
-    of = None if table.file is None else frame_of(table.file) if table.frame is None else table.frame
+    if table.file is None:
+        return ""
+    of = frame_of(table.file) if table.frame is None else table.frame
     if of is None or of == first:
         return ""
     fact = f"the first pose is of frame {of}, and tracking begins at frame {first}: the person may be lost"
