@@ -8,6 +8,7 @@ from os import PathLike
 
 _LONGEST = 299  # characters of a sentence
 _TAIL = 100  # of them that are kept of the end of a longer one: its mend
+_END = 60  # characters of a long path that a longer sentence keeps: the file's name is there
 
 
 class InputError(ValueError):
@@ -19,7 +20,13 @@ class InputError(ValueError):
 
     def __init__(self, message: str) -> None:
         text = "".join(c if c.isprintable() else " " for c in message)
+        text = text if len(text) <= _LONGEST else _with_short_paths(text)
         super().__init__(text if len(text) <= _LONGEST else f"{text[: _LONGEST - _TAIL - 3]} … {text[-_TAIL:]}")
+
+
+def _with_short_paths(text: str) -> str:
+    """Text with the end alone of each long path in it."""
+    return " ".join(f"…{word[-_END:]}" if "/" in word and len(word) > _END else word for word in text.split(" "))
 
 
 def check(where: str, holds: object, message: str) -> None:
@@ -34,7 +41,7 @@ def naming(source: str | PathLike[str]) -> Generator[None]:
     try:
         yield
     except InputError as error:
-        if str(source) in str(error):
+        if str(source)[-_END // 2 :] in str(error):  # a long path may stand there by its end
             raise
         raise InputError(f"{source}: {error}") from error
 

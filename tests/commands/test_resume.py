@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from support.commands import document, refusal, replace_text, run
+from support.commands import document, interrupted, refusal, replace_text, run
 from support.results import estimate, two_links
 from support.videos import corrupted
 from twistcap.body import Pose
@@ -267,7 +267,7 @@ def test_what_replaces_a_result_leaves_no_file_of_it(
     others = {"motion.glb", "gait.csv", "mine.trc"}
     for name in others:
         (out / name).write_text(name)
-    monkeypatch.setattr("twistcap.track.Tracker.step", lambda *_: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr("twistcap.track.Tracker.step", interrupted)
     track = ("track", made / "session.toml", "--out", out, "--overwrite", "--set", "output.exports=['mot']")
     refused = run(*track, "--set", "videos.cam01='none.mp4'")
     assert refused == 2 and {"report.html", "joints.trc", "angles.csv"} <= {path.name for path in out.iterdir()}

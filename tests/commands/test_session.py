@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import signal
 from dataclasses import fields
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,7 +10,7 @@ from pathlib import Path
 import pytest
 from pygltflib import GLTF2
 
-from support.commands import document, refusal, run
+from support.commands import document, interrupted, refusal, run
 from support.videos import corrupted, write
 from twistcap.body import gltf
 from twistcap.differential.settings import DifferentialConfig
@@ -106,7 +105,7 @@ def test_a_first_pose_of_another_frame_is_said(
 ) -> None:
     """Before the first frame is tracked."""
     path = walk / "session.toml"
-    monkeypatch.setattr("twistcap.track.Tracker.step", lambda *_: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr("twistcap.track.Tracker.step", interrupted)
     for frames, said in (("0:1", False), ("1:1", True)):
         assert run("track", path, "--out", tmp_path, "--frames", frames) == 130
         told = " ".join(capsys.readouterr().err.split())

@@ -194,6 +194,16 @@ def test_sentences_are_short_and_harmless() -> None:
     assert len(text) < 300 and text.isprintable() and text.startswith("/a/file") and text.endswith("take another.")
 
 
+def test_a_long_path_gives_way_to_the_sentence() -> None:
+    folder = "/a" * 100
+    told = "the first pose is of another frame than the recording's first one; find it again, or give its own frame."
+    with pytest.raises(InputError) as caught, naming(f"{folder}/first.json"):
+        raise InputError(f"{folder}/first.json and {folder}/session.toml: {told}")
+    text = str(caught.value)
+    assert text.startswith("…") and text.endswith(f"/a/a/session.toml: {told}") and len(text) < 300
+    assert text.count("first.json") == 1 and "/a/a/first.json and" in text
+
+
 def test_what_is_read_is_in_memory_but_once(tmp_path: Path) -> None:
     """Of a file of somebody else: neither its bytes nor its arrays are copied."""
     values = np.arange(1 << 21, dtype=float)

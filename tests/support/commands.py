@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import signal
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 
@@ -41,6 +41,11 @@ def replace_text(path: Path, old: str, new: str) -> None:
     text = path.read_text()
     assert old in text, text
     path.write_text(text.replace(old, new, 1))
+
+
+def interrupted(*_: object) -> NoReturn:
+    """What Ctrl-C does to a step. A signal would not: a shell's background job ignores it."""
+    raise KeyboardInterrupt
 
 
 def heeds_interrupts() -> None:
