@@ -115,6 +115,24 @@ def test_a_camera_stays_left_out_while_the_body_stands_still() -> None:
     assert all(tracker.step(frame).left_out == (ODD,) for frame in frames[UNTIL - BEFORE :])
 
 
+@pytest.mark.parametrize("side", [-1.0, 0.0, 1.0])
+def test_a_camera_that_was_early_and_is_late_without_it_is_believed_again(side: float) -> None:
+    """Something else put the body beside where it is: here the pictures are two frames late."""
+    state = _before()
+    memory = state.searches["lost body"]
+    assert isinstance(memory, LostMemory)
+    steps = OutOfStep.none(4).leaving_out(ODD, side)
+    memory = replace(memory, suspicion=replace(memory.suspicion, steps=steps))
+    tracker, believed = Tracker(_model()), list[bool]()
+    tracker.state = replace(state, left_out=(ODD,), searches={"lost body": memory})
+    for frame in _shifted(-2)[:8]:
+        believed.append(not tracker.step(frame).left_out)
+    assert believed[-1] == (side > 0.0), believed
+    after = tracker.state.searches["lost body"]
+    assert isinstance(after, LostMemory) and after.suspicion.steps is not None
+    assert side <= 0.0 or (after.suspicion.steps.waiting > 0 and not after.suspicion.steps.sides.any())
+
+
 def test_of_two_cameras_none_is_left_out() -> None:
     """Nobody knows which one is late."""
     frames = [replace(f, images=(f.images[0], f.images[1], None, None)) for f in _shifted(2)]
@@ -139,7 +157,7 @@ def test_a_camera_out_of_step_may_come_back_where_only_one_other_sees_the_body()
 
 def test_two_cameras_that_are_hardly_apart_do_not_hide_a_third_one() -> None:
     information, ahead = np.array([2500.0, 2500.0, 30.0]), np.array([0.0, 0.0055, 0.025])
-    memory = OutOfStep(np.stack([information, information * ahead]), np.zeros(3))
+    memory = OutOfStep(np.stack([information, information * ahead]), np.zeros(3), np.zeros(3))
     cameras = np.arange(3, dtype=np.int32)
     assert memory.most_apart(cameras, 0.0)[:2] == (1, 0)
     early, late, clear = memory.most_apart(cameras, 0.006)
@@ -147,7 +165,7 @@ def test_two_cameras_that_are_hardly_apart_do_not_hide_a_third_one() -> None:
 
 
 def test_cameras_that_are_believed_again_have_nothing_against_them() -> None:
-    memory = OutOfStep(np.arange(1.0, 7.0).reshape(2, 3), np.ones(3), (1, 2), 5.0)
+    memory = OutOfStep(np.arange(1.0, 7.0).reshape(2, 3), np.ones(3), np.zeros(3), (1, 2), 5.0)
     after = memory.of({2})
     np.testing.assert_array_equal(after.sums, [[1.0, 0.0, 3.0], [4.0, 0.0, 6.0]])
     np.testing.assert_array_equal(after.against, [1.0, 0.0, 1.0])
@@ -155,7 +173,7 @@ def test_cameras_that_are_believed_again_have_nothing_against_them() -> None:
 
 
 def test_another_track_knows_the_cameras_and_nothing_of_the_way() -> None:
-    memory = OutOfStep(np.ones((2, 3)), np.ones(3), (1,), 5.0, 3)
+    memory = OutOfStep(np.ones((2, 3)), np.ones(3), np.zeros(3), (1,), 5.0, 3)
     after = memory.begun_anew()
     assert after.cameras == (1,) and not after.sums.any() and not after.against.any()
     assert (after.tries, after.waiting) == (0.0, 0)

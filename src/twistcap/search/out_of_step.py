@@ -4,7 +4,8 @@ The evidence of each picture is asked for where the body is, a little back and a
 of a parabola, whose top says how early or late the picture is. What the looks say is added up by least squares. A
 camera that is early draws the body ahead, so that the one that faces it seems late. So the frame is fitted without each
 of the two that are most clearly apart. Odd is the one without which the cameras that are neither agree more; how much
-better its own picture then fits elsewhere on the way counts too, for less.
+better its own picture then fits elsewhere on the way counts too, for less. One that was early, and without which it is
+late, was not odd: something else put the body beside where it is, as a person who hides a limb from another camera.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ class OutOfStep:
         sums: (2, C) normal equations of the s by which the moment of each picture is after the body's: information,
             right side.
         against: (C,) what has spoken for leaving each one out.
+        sides: (C,) whether each one that is left out was early, 1, or late, −1; else 0.
         cameras: that are out of step.
         tries: lately made in vain to tell which camera is odd; waiting: frames until the next one.
         looked: whether the last frame was looked at. Where all is quiet, only every other one is.
@@ -37,6 +39,7 @@ class OutOfStep:
 
     sums: Float
     against: Float
+    sides: Float
     cameras: tuple[int, ...] = ()
     tries: float = 0.0
     waiting: int = 0
@@ -45,19 +48,21 @@ class OutOfStep:
     @staticmethod
     def none(cameras: int) -> OutOfStep:
         """Nothing is known."""
-        return OutOfStep(np.zeros((2, cameras)), np.zeros(cameras))
+        return OutOfStep(np.zeros((2, cameras)), np.zeros(cameras), np.zeros(cameras))
 
     def of(self, left_out: Set[int]) -> OutOfStep:
         """With nothing against cameras that are believed again, as all are when the body is lost."""
         again = [c for c in self.cameras if c not in left_out]
         kept = np.where(np.isin(np.arange(len(self.against)), again), 0.0, 1.0)
         out = tuple(c for c in self.cameras if c in left_out)
-        return replace(self, sums=kept * self.sums, against=kept * self.against, cameras=out) if again else self
+        sums, against, sides = kept * self.sums, kept * self.against, kept * self.sides
+        return replace(self, sums=sums, against=against, sides=sides, cameras=out) if again else self
 
-    def leaving_out(self, camera: int) -> OutOfStep:
+    def leaving_out(self, camera: int, side: float) -> OutOfStep:
         """With one more camera out of step. What it said of a body that it had a say in says nothing now."""
-        sums = self.sums * (np.arange(len(self.against)) != camera)
-        return replace(OutOfStep.none(len(self.against)), sums=sums, cameras=(*self.cameras, camera))
+        this = np.arange(len(self.against)) == camera
+        sums, sides = np.where(this, 0.0, self.sums), np.where(this, side, self.sides)
+        return replace(OutOfStep.none(len(self.against)), sums=sums, sides=sides, cameras=(*self.cameras, camera))
 
     def begun_anew(self) -> OutOfStep:
         """For another track through the same recording, maybe backward: the cameras that are out of step are known."""
@@ -67,6 +72,11 @@ class OutOfStep:
     def ahead(self) -> Float:
         """(C,) s by which the moment of each picture is after the body's; 0 where nothing is known."""
         return self.sums[1] / np.maximum(self.sums[0], 1e-12)
+
+    def apart(self, left_out: Set[int]) -> Float:
+        """(C,) s by which each picture is ahead of most of those that are believed."""
+        believed = [c for c in range(len(self.against)) if c not in left_out]
+        return self.ahead - np.median(self.ahead[believed])
 
     def most_apart(self, cameras: Int, least: float) -> tuple[int, int, float]:
         """The two of some cameras of which it is clearest that one is ahead of the other, the early one first; and how
@@ -121,6 +131,9 @@ class OutOfStepRule(Checked):
         if memory.looked and quiet:
             return now, replace(memory, looked=False)
         memory = self._looked(memory, known, now, way)
+        left_out = now.problem.left_out - self._wronged(memory, now.problem.left_out)
+        if left_out != now.problem.left_out:
+            return fitted(known, now.problem.excluding(left_out)), replace(memory.of(left_out), waiting=self.longest)
         early, late, clear = memory.most_apart(seen, self.apart)
         if len(seen) < 3 or clear < self.clear:
             return now, replace(memory, against=self.faded * memory.against, tries=self.faded * memory.tries)
@@ -135,7 +148,7 @@ class OutOfStepRule(Checked):
         if abs(more) < self.enough or not known.ratio(without[odd].check) >= least:
             pause = min(int(memory.tries) // self.prompt, self.longest)
             return now, replace(memory, tries=memory.tries + 1.0, waiting=pause)
-        return without[odd], memory.leaving_out(odd)
+        return without[odd], memory.leaving_out(odd, 1.0 if odd == early else -1.0)
 
     def _looked(self, memory: OutOfStep, known: Recollection, now: Judged, way: tuple[Float, float]) -> OutOfStep:
         """After a look at each camera."""
@@ -150,12 +163,17 @@ class OutOfStepRule(Checked):
                 slope = bend * speed / self.shift
                 sums[:, camera] = self.kept * sums[:, camera] + [slope * slope, slope * uphill]
         memory = replace(memory, sums=sums, looked=True)
-        believed = [c for c in range(sums.shape[1]) if c not in now.problem.left_out]
-        apart = np.abs(memory.ahead - np.median(memory.ahead[believed]))
+        apart = np.abs(memory.apart(now.problem.left_out))
         clear = apart * np.sqrt(sums[0]) >= self.clear
         out = [c for c in now.problem.left_out if clear[c] and apart[c] >= 2.0 * self.apart]
         kept = [c for c in memory.cameras if apart[c] >= self.apart or not sums[0, c]]
         return replace(memory, cameras=tuple(sorted({*out, *kept})))
+
+    def _wronged(self, memory: OutOfStep, left_out: Set[int]) -> frozenset[int]:
+        """Cameras that were early when they were left out and are late without them, or the other way round."""
+        apart = memory.apart(left_out)
+        clear = np.abs(apart) * np.sqrt(memory.sums[0]) >= self.clear
+        return frozenset(np.flatnonzero(clear & (memory.sides * apart <= -self.apart)).tolist())
 
     def _against(self, known: Recollection, now: Judged, without: dict[int, Judged], step: Float) -> Float:
         """(C,) what speaks for leaving out each of two cameras: how much more the cameras agree that are neither, and
