@@ -283,3 +283,27 @@ def test_a_track_goes_both_ways_and_on() -> None:
     for k in (0, 8):
         errors = np.linalg.norm(Posed(scene.body, track.poses[k]).landmarks - scene.landmarks[k], axis=1)
         assert errors.mean() < 0.02
+
+
+@pytest.mark.parametrize("astray", [False, True])
+def test_the_first_pose_is_that_to_which_the_track_comes_back(astray: bool) -> None:
+    """The search in its own frame has missed an arm, the next ones have not; but a track that has gone astray since
+    does not lead back.
+    """
+    scene, every = _scene()
+    search, frames = _unaided(every), every[:3]
+    track = Track(search.model, frames, 2, scene.true_poses[2])
+    right, missed = track.poses[0], track.poses[0].q.copy()
+    missed[scene.body.coordinate("elbow_flex_r")] += np.deg2rad(70.0)
+    track.poses[0] = Pose(right.root, missed)
+    evidence = search.scenery.evidence(every[0].images, scene.body)
+    probe = Probe(0, Instant(QUICK, search.model, every[0], evidence), [])
+    search = replace(search, rule=replace(search.rule, settling=0.3))
+    if astray:
+        away = se3.transform(np.eye(3), np.array([0.8, 0.5, 0.0])) @ right.root
+        track.extend(every[:10])
+        track.poses[9] = Pose(away, right.q)
+    proof = search._settled(Proof(track, 2, 1.0, (0.3, 0.3), 0.9), probe, frames)
+    assert len(frames) == 10 and proof.track.start == 2
+    off = np.linalg.norm(Posed(scene.body, proof.first).landmarks - scene.landmarks[0], axis=1).max()
+    assert (off > 0.15) if astray else (off < 0.03), off

@@ -60,6 +60,7 @@ class ProofRule(Checked):
             other probe has met: nothing explains the images nearly as well.
         agreeing: fraction of the contour that must agree with the images along it.
         hopeless: standing below which a track is given up.
+        settling: s after the first frame from where at the earliest the track comes back to it.
     """
 
     search: UnaidedRule = field(default_factory=UnaidedRule)
@@ -76,6 +77,7 @@ class ProofRule(Checked):
     each: Signed = -0.03
     agreeing: Share = 0.6
     hopeless: Share = 0.75
+    settling: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -222,7 +224,7 @@ class Unaided:
             if len(probes) >= min(2, len(probed)):
                 for proof in proofs:
                     if proof.holds(self.rule, len(probed)):
-                        return proof
+                        return self._settled(proof, probes[0], frames)
             tracks = [p.track for p in proofs if p.standing >= self.rule.hopeless]
         raise InputError(self._refusal(best, probes))
 
@@ -242,11 +244,26 @@ class Unaided:
 
     def _begin(self, tracks: list[Track], probe: Probe, frames: Sequence[Frame]) -> None:
         """A track from a probe's best pose, where no track has come there."""
-        fitted = replace(self.model, searches=tuple(map(_as_begun, self.model.searches)))
         for c in probe.candidates[:1]:
             far = (probe.instant.apart(c.pose, t.poses[probe.at]) > self.rule.same for t in tracks)
             if all(far):
-                tracks.append(Track(fitted, frames, probe.at, c.pose))
+                tracks.append(self._track(frames, probe.at, c.pose))
+
+    def _track(self, frames: Sequence[Frame], start: int, pose: Pose) -> Track:
+        searches = tuple(map(_as_begun, self.model.searches))
+        return Track(replace(self.model, searches=searches), frames, start, pose)
+
+    def _settled(self, proof: Proof, probe: Probe, frames: list[Frame]) -> Proof:
+        """With the first pose to which the track comes back from later frames, which show what one of them does not: a
+        limb that a search has missed there.
+        """
+        end = min(self.count, 1 + round(self.rule.settling * self.rate))
+        frames += self.read(range(len(frames), end))
+        proof.track.extend(frames)
+        back = self._track(frames, len(frames) - 1, proof.track.poses[-1])
+        back.start = proof.track.start  # where it was found
+        before, after = (probe.instant.measured(track.poses[0]) for track in (proof.track, back))
+        return replace(proof, track=back) if after.score >= _NEAR * before.score else proof
 
     def _height(self, probes: Sequence[Probe]) -> float | None:
         """m of the person, without a body: of one who seems small the greatest, for people bend; else the median.
