@@ -170,6 +170,8 @@ def test_cameras_that_are_believed_again_have_nothing_against_them() -> None:
     np.testing.assert_array_equal(after.sums, [[1.0, 0.0, 3.0], [4.0, 0.0, 6.0]])
     np.testing.assert_array_equal(after.against, [1.0, 0.0, 1.0])
     assert after.cameras == (2,) and memory.of({1, 2}) is memory
+    early = replace(memory, sides=np.array([1.0, 0.0, 1.0]))  # the first is out of step no longer, and believed
+    np.testing.assert_array_equal(early.of({1, 2}).sides, [0.0, 0.0, 1.0])
 
 
 def test_another_track_knows_the_cameras_and_nothing_of_the_way() -> None:

@@ -55,8 +55,10 @@ class OutOfStep:
         again = [c for c in self.cameras if c not in left_out]
         kept = np.where(np.isin(np.arange(len(self.against)), again), 0.0, 1.0)
         out = tuple(c for c in self.cameras if c in left_out)
-        sums, against, sides = kept * self.sums, kept * self.against, kept * self.sides
-        return replace(self, sums=sums, against=against, sides=sides, cameras=out) if again else self
+        sides = np.where(np.isin(np.arange(len(self.sides)), list(left_out)), self.sides, 0.0)
+        if not again and np.array_equal(sides, self.sides):
+            return self
+        return replace(self, sums=kept * self.sums, against=kept * self.against, sides=sides, cameras=out)
 
     def leaving_out(self, camera: int, side: float) -> OutOfStep:
         """With one more camera out of step. What it said of a body that it had a say in says nothing now."""
